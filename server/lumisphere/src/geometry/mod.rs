@@ -1,0 +1,15 @@
+//! Points, directions, cameras and surfaces. Knows nothing of light.
+
+mod bezier_patch;
+mod camera;
+mod pose;
+mod ray;
+mod tangent_frame;
+mod triangle_mesh;
+
+pub use bezier_patch::{BezierPatch, PatchPoint};
+pub use camera::{Camera, CameraError, Intrinsics};
+pub use pose::{Pose, PoseError};
+pub use ray::Ray;
+pub use tangent_frame::TangentFrame;
+pub use triangle_mesh::{MeshError, TriangleMesh};

@@ -1,0 +1,55 @@
+//! Orthonormal basis around a normal, for shading and sampling.
+
+use glam::Vec3;
+
+/// Right-handed orthonormal basis `(tangent, bitangent, normal)`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TangentFrame {
+    /// First axis.
+    pub tangent: Vec3,
+    /// Second axis, `normal × tangent`.
+    pub bitangent: Vec3,
+    /// Third axis, the surface normal.
+    pub normal: Vec3,
+}
+
+impl TangentFrame {
+    /// A basis around the unit vector `normal`; continuous except at −Z (Duff et al. 2017, "Building an Orthonormal Basis, Revisited").
+    pub fn around(normal: Vec3) -> Self {
+        let sign = 1f32.copysign(normal.z);
+        let a = -1.0 / (sign + normal.z);
+        let b = normal.x * normal.y * a;
+        Self {
+            tangent: Vec3::new(1.0 + sign * normal.x * normal.x * a, sign * b, -sign * normal.x),
+            bitangent: Vec3::new(b, sign + normal.y * normal.y * a, -normal.y),
+            normal,
+        }
+    }
+
+    /// World vector from coordinates along tangent, bitangent and normal.
+    pub fn world_from_local(&self, local: Vec3) -> Vec3 {
+        local.x * self.tangent + local.y * self.bitangent + local.z * self.normal
+    }
+
+    /// Coordinates along tangent, bitangent and normal of a world vector.
+    pub fn local_from_world(&self, world: Vec3) -> Vec3 {
+        Vec3::new(world.dot(self.tangent), world.dot(self.bitangent), world.dot(self.normal))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_axis_yields_a_right_handed_orthonormal_basis() {
+        for normal in [Vec3::X, Vec3::NEG_X, Vec3::Y, Vec3::NEG_Y, Vec3::Z, Vec3::NEG_Z, Vec3::new(0.6, 0.0, -0.8)] {
+            let f = TangentFrame::around(normal);
+            // A handful of f32 roundings: 8 ULP of 1.
+            assert!((f.tangent.cross(f.bitangent) - f.normal).length() < 1e-6);
+            assert!((f.tangent.length() - 1.0).abs() < 1e-6);
+            let v = Vec3::new(0.3, -0.5, 0.7);
+            assert!((f.world_from_local(f.local_from_world(v)) - v).length() < 1e-6);
+        }
+    }
+}

@@ -1,0 +1,1 @@
+//! Radiance and its colours.

@@ -1,0 +1,12 @@
+//! Finds the shared data pack in tests. Tests that use it pass without it.
+
+use std::path::{Path, PathBuf};
+
+/// Path inside the data pack (`$LUMISPHERE_SHARED_DATA`, else `../shared/data` beside the repository); None when it is not there.
+pub fn shared(path: &str) -> Option<PathBuf> {
+    let root = std::env::var_os("LUMISPHERE_SHARED_DATA")
+        .map(PathBuf::from)
+        .unwrap_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data"));
+    let found = root.join(path);
+    found.exists().then_some(found)
+}
