@@ -1,0 +1,192 @@
+//! Offset surface light field (OSLF): incident radiance in cube maps at *sample points*, surface points offset by ε·n.
+//!
+//! Because the sample points lie just above the surface, both the surface's own appearance and what it would reflect can be
+//! read from them. With x on the surface, n its normal, v the unit vector to the viewer, p a sample point, Lᵢ(p; d) its cube map:
+//! - reconstruction: `L(x) = Lᵢ(p; normalize(x − p))`, p the nearest of the texel's four with `n · normalize(p − x) > cos 65°`;
+//! - mirror: `r = 2 n (n·v) − v`, `ŝⱼ = normalize(pⱼ − x)`, `L(x, v) = Σⱼ βⱼ Lᵢ(pⱼ; r)`, `Σⱼ βⱼ = 1`, βⱼ by [`Blend`];
+//! - full: `reconstruction + C_s · mirror`;
+//! - baseline: one environment map at the object's centre, taken without the object, read with r.
+//!
+//! Where it fails: near the horizon (85° when built, 65° when read), at high curvature, where something stands between p and x
+//! (free-space violation, shrinks with ε), along sample-map texels, by the cube maps' resolution; one self-reflection a pass.
+//!
+//! Source: the methods page "Offset surface light field" and the paper behind it.
+
+mod construct;
+
+use glam::Vec3;
+use serde::{Deserialize, Serialize};
+
+use crate::geometry::TriangleMesh;
+use crate::scenes::{Albedo, Environment, Texture};
+
+pub use construct::{ConstructError, Spacing, build_sample_maps, place_sample_points};
+
+/// Largest angle between a texel's normal and the direction to a sample point when sample maps are built.
+pub const CONSTRUCTION_HORIZON_DEG: f32 = 85.0;
+/// The same when a frame is rendered; smaller, because grazing reads bleed.
+pub const RUNTIME_HORIZON_DEG: f32 = 65.0;
+/// Marks "no such sample point" in a sample map.
+pub const NO_SAMPLE: u16 = u16::MAX;
+
+/// One dataset version of this kind, without its pages.
+///
+/// Pages: face f of cube map k is page `6·k + f`: `face_size_texels`² texels of R, G, B, distance. Cube map
+/// `sample_points.len()` is the baseline environment map at `parameters.object_center`, taken without the object.
+#[derive(Debug, Clone)]
+pub struct OffsetSurfaceLightField {
+    /// What it was built with.
+    pub parameters: Parameters,
+    /// The object.
+    pub surface: SurfaceMesh,
+    /// At most 65 535.
+    pub sample_points: Vec<SamplePoint>,
+    /// Per part, which sample points serve which texel.
+    pub sample_maps: SampleMaps,
+    /// Everything else in the scene, for the pixels around the object.
+    pub background: Background,
+}
+
+/// Stored in the manifest. Lengths are in the scene's unit.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Parameters {
+    /// Name of the object whose light field this is.
+    pub object: String,
+    /// Distance of the sample points from the surface.
+    pub epsilon: f32,
+    /// Texels along a cube-map face.
+    pub face_size_texels: u32,
+    /// Texels along a sample map.
+    pub sample_map_size_texels: u32,
+    /// How the sample points were placed.
+    pub spacing: Spacing,
+    /// Centre of the object's bounds, where the baseline environment map was taken.
+    pub object_center: [f32; 3],
+    /// Paths per texel of the capture.
+    pub samples_per_texel: u32,
+    /// 1 = direct light only.
+    pub max_bounces: u32,
+    /// Of the capture.
+    pub seed: u64,
+}
+
+/// The object's triangles; each belongs to one *part*, one texture region with uv in [0, 1]² and its own sample map.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SurfaceMesh {
+    /// World space.
+    pub mesh: TriangleMesh,
+    /// Part of each triangle, below `parts`.
+    pub part_of_triangle: Vec<u32>,
+    /// How many parts there are.
+    pub parts: u32,
+}
+
+/// Where a cube map was taken.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SamplePoint {
+    /// Surface point + ε·normal, world space.
+    pub position: Vec3,
+    /// The surface's unit normal there.
+    pub normal: Vec3,
+}
+
+/// Per part a square texture of the four best sample points' indices, nearest first, [`NO_SAMPLE`] where fewer qualify.
+///
+/// `indices[(part · size + row) · size + column]`; column = ⌊u·size⌋, row = ⌊v·size⌋. Read at the nearest texel, never interpolated.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct SampleMaps {
+    /// Texels along an edge.
+    pub size: usize,
+    /// Four indices a texel.
+    pub indices: Vec<[u16; 4]>,
+}
+
+/// The scene around the object as proxy geometry with baked light, shown behind and before the object. Not part of the light field.
+#[derive(Debug, Clone)]
+pub struct Background {
+    /// Proxies.
+    pub surfaces: Vec<BackgroundSurface>,
+    /// Named by `BackgroundSurface::albedo`.
+    pub textures: Vec<Texture>,
+    /// Where nothing is hit.
+    pub environment: Environment,
+}
+
+/// One proxy: exitant radiance = emission (front only) + albedo / π · irradiance of the side that is seen.
+#[derive(Debug, Clone)]
+pub struct BackgroundSurface {
+    /// World space, subdivided for the baked light.
+    pub mesh: TriangleMesh,
+    /// Per vertex, irradiance on the side of the normal and on the other.
+    pub irradiance: Vec<[Vec3; 2]>,
+    /// Reflectance; None for surfaces that are not diffuse: black, their pixels flagged unknown.
+    pub albedo: Option<Albedo>,
+    /// Radiance on the side of the normal.
+    pub emission: Vec3,
+}
+
+/// What of the object to show.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Component {
+    /// Its own diffuse appearance.
+    Reconstruction,
+    /// What it would reflect as a perfect mirror, reflectance 1.
+    Mirror,
+    /// Reconstruction + C_s · mirror.
+    Full,
+}
+
+/// Weights βⱼ of the texel's sample points in a mirror read; each set is normalised to sum 1.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Blend {
+    /// Nearest only.
+    Distance,
+    /// Only the one that maximises ŝ·r.
+    Angle,
+    /// All the same.
+    Average,
+    /// `max(r·ŝ, 0)ᴺ`.
+    Reflection {
+        /// N ≥ 0.
+        exponent: f32,
+    },
+    /// `max(n·ŝ, 0)ᴺ`.
+    Normal {
+        /// N ≥ 0.
+        exponent: f32,
+    },
+    /// The baseline: the one environment map at the object's centre.
+    EnvironmentMap,
+}
+
+/// How to render this kind.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Settings {
+    /// What to show.
+    pub component: Component,
+    /// How mirror reads are blended.
+    pub blend: Blend,
+    /// C_s in `Full`, per channel in [0, 1].
+    pub specular_reflectance: Vec3,
+}
+
+impl OffsetSurfaceLightField {
+    /// Page of face `face` of cube map `cube`.
+    pub fn page(cube: usize, face: usize) -> u32 {
+        (crate::directions::FACES * cube + face) as u32
+    }
+
+    /// How many pages its dataset has, the baseline's included.
+    pub fn page_count(&self) -> usize {
+        crate::directions::FACES * (self.sample_points.len() + 1)
+    }
+}
+
+impl SampleMaps {
+    /// The four candidates at (u, v) in [0, 1]² of `part`, nearest first.
+    pub fn at(&self, part: u32, u: f32, v: f32) -> [u16; 4] {
+        let texel = |c: f32| ((c * self.size as f32) as usize).min(self.size - 1);
+        self.indices[(part as usize * self.size + texel(v)) * self.size + texel(u)]
+    }
+}
