@@ -22,6 +22,8 @@ pub struct Scene {
     pub environment: Environment,
     /// Views that the scene's author gave.
     pub cameras: Vec<NamedCamera>,
+    /// What the loader left out or replaced, one sentence each, for people; empty for generated scenes.
+    pub notes: Vec<String>,
 }
 
 /// One surface with one material, two-sided for reflection.
