@@ -1,10 +1,12 @@
 //! Indexed triangles with normals and texture coordinates.
 
 use glam::{Vec2, Vec3};
+use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 /// Indexed triangles. `normals` and `uvs` are per vertex and as long as `positions`; every index is in range; every number finite.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "Unchecked")]
 pub struct TriangleMesh {
     /// Vertex positions, in the space of the mesh's owner.
     pub positions: Vec<Vec3>,
@@ -48,6 +50,23 @@ pub enum MeshError {
         /// Which vertex.
         vertex: usize,
     },
+}
+
+// What a file says, before `TriangleMesh::new` has looked at it.
+#[derive(Deserialize)]
+struct Unchecked {
+    positions: Vec<Vec3>,
+    normals: Vec<Vec3>,
+    uvs: Vec<Vec2>,
+    triangles: Vec<[u32; 3]>,
+}
+
+impl TryFrom<Unchecked> for TriangleMesh {
+    type Error = MeshError;
+
+    fn try_from(raw: Unchecked) -> Result<Self, MeshError> {
+        Self::new(raw.positions, raw.normals, raw.uvs, raw.triangles)
+    }
 }
 
 impl TriangleMesh {

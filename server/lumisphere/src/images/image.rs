@@ -1,7 +1,9 @@
 //! Planar f32 image.
 
+use serde::{Deserialize, Serialize};
+
 /// `planes[channel][row · width + column]`; row 0 is the top. Linear unless a function's documentation says otherwise.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Image {
     /// Pixels along a row.
     pub width: usize,

@@ -1,6 +1,7 @@
 //! What a scene is, in memory: everything in world space, colours linear, every index valid (loaders check).
 
 use glam::Vec3;
+use serde::{Deserialize, Serialize};
 
 use crate::geometry::{BezierPatch, Camera, TriangleMesh};
 use crate::images::Image;
@@ -78,7 +79,7 @@ pub enum Material {
 }
 
 /// A constant will do for most surfaces.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum Albedo {
     /// The same everywhere.
     Constant(Vec3),
@@ -87,7 +88,7 @@ pub enum Albedo {
 }
 
 /// Linear RGB by (u, v); v = 0 is the bottom row, repeats, bilinear.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Texture {
     /// Three channels, linear; row 0 is the top.
     pub image: Image,
@@ -103,7 +104,7 @@ pub struct PointLight {
 }
 
 /// Light from infinity.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub enum Environment {
     /// The same radiance from everywhere; zero for none.
     Constant(Vec3),
@@ -112,7 +113,7 @@ pub enum Environment {
 }
 
 /// Latitude–longitude radiance, already scaled; `rotation` turns it about +Y.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct EnvironmentMap {
     /// Three channels, linear, OpenEXR's orientation (`directions::direction_from_lat_long`).
     pub image: Image,

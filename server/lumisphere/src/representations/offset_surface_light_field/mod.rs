@@ -13,6 +13,7 @@
 //! Source: the methods page "Offset surface light field" and the paper behind it.
 
 mod construct;
+mod storage;
 
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
@@ -21,6 +22,7 @@ use crate::geometry::TriangleMesh;
 use crate::scenes::{Albedo, Environment, Texture};
 
 pub use construct::{ConstructError, Spacing, build_sample_maps, place_sample_points};
+pub use storage::{PartsError, from_parts, to_parts};
 
 /// Largest angle between a texel's normal and the direction to a sample point when sample maps are built.
 pub const CONSTRUCTION_HORIZON_DEG: f32 = 85.0;
@@ -72,7 +74,7 @@ pub struct Parameters {
 }
 
 /// The object's triangles; each belongs to one *part*, one texture region with uv in [0, 1]² and its own sample map.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SurfaceMesh {
     /// World space.
     pub mesh: TriangleMesh,
@@ -83,7 +85,7 @@ pub struct SurfaceMesh {
 }
 
 /// Where a cube map was taken.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct SamplePoint {
     /// Surface point + ε·normal, world space.
     pub position: Vec3,
@@ -94,7 +96,7 @@ pub struct SamplePoint {
 /// Per part a square texture of the four best sample points' indices, nearest first, [`NO_SAMPLE`] where fewer qualify.
 ///
 /// `indices[(part · size + row) · size + column]`; column = ⌊u·size⌋, row = ⌊v·size⌋. Read at the nearest texel, never interpolated.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SampleMaps {
     /// Texels along an edge.
     pub size: usize,
@@ -103,7 +105,7 @@ pub struct SampleMaps {
 }
 
 /// The scene around the object as proxy geometry with baked light, shown behind and before the object. Not part of the light field.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Background {
     /// Proxies.
     pub surfaces: Vec<BackgroundSurface>,
@@ -114,7 +116,7 @@ pub struct Background {
 }
 
 /// One proxy: exitant radiance = emission (front only) + albedo / π · irradiance of the side that is seen.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct BackgroundSurface {
     /// World space, subdivided for the baked light.
     pub mesh: TriangleMesh,
