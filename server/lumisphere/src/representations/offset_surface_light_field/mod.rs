@@ -133,7 +133,7 @@ pub struct BackgroundSurface {
 pub enum Component {
     /// Its own diffuse appearance.
     Reconstruction,
-    /// What it would reflect as a perfect mirror, reflectance 1.
+    /// C_s · mirror: what it would reflect as a mirror of reflectance C_s.
     Mirror,
     /// Reconstruction + C_s · mirror.
     Full,
@@ -169,7 +169,7 @@ pub struct Settings {
     pub component: Component,
     /// How mirror reads are blended.
     pub blend: Blend,
-    /// C_s in `Full`, per channel in [0, 1].
+    /// C_s in `Mirror` and `Full`, per channel in [0, 1].
     pub specular_reflectance: Vec3,
 }
 
