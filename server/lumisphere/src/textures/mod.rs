@@ -1,1 +1,43 @@
-//! (empty so far)
+//! Texture data: immutable dataset versions of checksummed pages on disk, and an exact LRU cache of decoded pages in memory.
+//!
+//! A [`Page`] is the unit that is stored and cached: one small image (a cube-map face, one region × direction texture, one probe
+//! level) of one to four channels. This room knows nothing of light: a channel is a number.
+//!
+//! Writing: [`Store::stage`] → [`Staging::append_page`] … → [`Staging::publish`]. Reading: [`Store::open_version`] →
+//! [`DatasetVersion::read_page`], or through a [`Cache`].
+//!
+//! What may be relied on: a published version never changes and is either whole or absent after a crash; every block of 16 rows
+//! carries its own checksum, and a damaged one is an error that names page and rows and hurts nothing else; the index can be
+//! deleted at any time; a killed writer finds its pages again; a full disk is [`StoreError::DiskFull`] and loses nothing.
+
+mod cache;
+mod codec;
+mod disk;
+mod error;
+mod hash;
+mod index;
+mod manifest;
+mod opening;
+mod page;
+mod policy;
+mod segment;
+mod staging;
+mod store;
+mod upload;
+mod version;
+
+#[cfg(test)]
+mod tests;
+
+pub use cache::{Cache, CacheStats};
+pub use codec::{BLOCK_ROWS, Codec, EncodedPage, MAX_F16, encode};
+pub use disk::{Disk, LimitedDisk, LocalDisk};
+pub use error::StoreError;
+pub use hash::ContentHash;
+pub use manifest::{BlobEntry, MANIFEST_FORMAT, Manifest, PageSummary, Publication, SegmentEntry};
+pub use page::{MAX_CHANNELS, MAX_PAGE_BYTES, Page, PageId, PageShape, PixelFormat, Texels};
+pub use segment::MAX_SEGMENT_BYTES;
+pub use staging::{Appended, Staging};
+pub use store::{IndexOutcome, OpenReport, Store, StoreOptions};
+pub use upload::BlobUpload;
+pub use version::{DatasetVersion, ReadCost};

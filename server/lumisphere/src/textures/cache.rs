@@ -1,0 +1,277 @@
+//! Decoded pages in memory: exact least-recently-used order under a byte budget, one read for any number of waiting readers.
+//!
+//! A page's place is found by two array look-ups (version slot, page number); nothing is hashed. The lock is held to find, order
+//! and evict, never while reading or decoding, so a slow read delays only those who want the same page. Other policies, read
+//! strategies (parts of pages) and tiers have their place beside `policy::lru`; the counters already keep apart what they need.
+
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+
+use super::error::StoreError;
+use super::page::{Page, PageId};
+use super::policy::Lru;
+use super::version::{DatasetVersion, ReadCost};
+
+/// What the cache did since it was made. `look_ups = hits + misses`, and `misses − coalesced_waits` pages were read.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct CacheStats {
+    /// Pages asked for.
+    pub look_ups: u64,
+    /// Found in memory.
+    pub hits: u64,
+    /// Not in memory, whoever read them then.
+    pub misses: u64,
+    /// Misses that another reader's read answered.
+    pub coalesced_waits: u64,
+    /// Reads that failed.
+    pub failed_reads: u64,
+    /// Pages given up for others, or for a smaller budget.
+    pub evictions: u64,
+    /// Pages larger than the whole budget: read, handed out, not kept.
+    pub uncached: u64,
+    /// From disk.
+    pub bytes_read: u64,
+    /// Of decoded texels.
+    pub bytes_decoded: u64,
+    /// Spent waiting for the disk, summed over readers.
+    pub read_nanos: u64,
+    /// Spent checking and unpacking, summed over readers.
+    pub decode_nanos: u64,
+    /// Pages held now.
+    pub resident_pages: u64,
+    /// Bytes held now; never above the budget.
+    pub resident_bytes: u64,
+    /// Most bytes ever held at once.
+    pub peak_bytes: u64,
+    /// Bytes that may be held.
+    pub budget_bytes: u64,
+}
+
+/// A shared cache of decoded pages of any number of versions. What callers still hold of evicted pages is not counted.
+#[derive(Debug)]
+pub struct Cache {
+    state: Mutex<State>,
+}
+
+#[derive(Debug)]
+struct State {
+    stats: CacheStats,
+    /// `[version slot][page]`; as long as the pages that were asked for.
+    table: Vec<Vec<Place>>,
+    frames: Vec<Option<Frame>>,
+    free: Vec<u32>,
+    order: Lru,
+}
+
+/// Where a page is.
+#[derive(Debug, Clone, Default)]
+enum Place {
+    #[default]
+    Absent,
+    Loading(Arc<Flight>),
+    Frame(u32),
+}
+
+/// A resident page.
+#[derive(Debug)]
+struct Frame {
+    key: Key,
+    page: Arc<Page>,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Key {
+    slot: u32,
+    page: PageId,
+}
+
+/// One read that others wait on.
+#[derive(Debug, Default)]
+struct Flight {
+    result: Mutex<Option<Result<Arc<Page>, StoreError>>>,
+    landed: Condvar,
+}
+
+impl Flight {
+    fn land(&self, result: Result<Arc<Page>, StoreError>) {
+        *self.result.lock().unwrap_or_else(PoisonError::into_inner) = Some(result);
+        self.landed.notify_all();
+    }
+
+    fn wait(&self) -> Result<Arc<Page>, StoreError> {
+        let mut result = self.result.lock().unwrap_or_else(PoisonError::into_inner);
+        loop {
+            if let Some(result) = &*result {
+                return result.clone();
+            }
+            result = self.landed.wait(result).unwrap_or_else(PoisonError::into_inner);
+        }
+    }
+}
+
+impl Cache {
+    /// Holds at most `budget_bytes` of pages ([`Page::resident_bytes`]).
+    pub fn new(budget_bytes: u64) -> Self {
+        let stats = CacheStats { budget_bytes, ..CacheStats::default() };
+        let state = State { stats, table: Vec::new(), frames: Vec::new(), free: Vec::new(), order: Lru::new() };
+        Self { state: Mutex::new(state) }
+    }
+
+    /// The page, from memory or disk. While one caller reads a page, others who want it wait for that read, its error included.
+    pub fn page(&self, version: &Arc<DatasetVersion>, page: PageId) -> Result<Arc<Page>, StoreError> {
+        if page.0 >= version.page_count() {
+            // The version says it best; a page that cannot exist gets no place in the table.
+            return version.read_page(page).map(Arc::new);
+        }
+        self.page_with(Key { slot: version.slot(), page }, || version.read_page_with_cost(page))
+    }
+
+    fn page_with(&self, key: Key, read: impl FnOnce() -> Result<(Page, ReadCost), StoreError>) -> Result<Arc<Page>, StoreError> {
+        let mut state = self.state();
+        state.stats.look_ups += 1;
+        match state.place(key).clone() {
+            Place::Frame(frame) => {
+                state.stats.hits += 1;
+                state.order.touch(frame);
+                let resident = state.frames[frame as usize].as_ref().expect("a page's frame is occupied");
+                Ok(resident.page.clone())
+            }
+            Place::Loading(flight) => {
+                state.stats.misses += 1;
+                state.stats.coalesced_waits += 1;
+                drop(state);
+                flight.wait()
+            }
+            Place::Absent => {
+                state.stats.misses += 1;
+                let flight = Arc::new(Flight::default());
+                *state.place(key) = Place::Loading(flight.clone());
+                drop(state);
+                let reading = Reading { cache: self, key, flight, result: None };
+                reading.finish(read())
+            }
+        }
+    }
+
+    /// The counters, all of the same moment.
+    pub fn stats(&self) -> CacheStats {
+        self.state().stats
+    }
+
+    /// Forgets every page; who holds one keeps it. Counted as evictions.
+    pub fn clear(&self) {
+        self.state().evict_down_to(0);
+    }
+
+    /// Changes the budget; pages that no longer fit leave at once.
+    pub fn set_budget(&self, budget_bytes: u64) {
+        let mut state = self.state();
+        state.stats.budget_bytes = budget_bytes;
+        state.evict_down_to(budget_bytes);
+    }
+
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// The one read of a missing page; lets the waiters go however it ends.
+struct Reading<'a> {
+    cache: &'a Cache,
+    key: Key,
+    flight: Arc<Flight>,
+    result: Option<Result<Arc<Page>, StoreError>>,
+}
+
+impl Reading<'_> {
+    fn finish(mut self, read: Result<(Page, ReadCost), StoreError>) -> Result<Arc<Page>, StoreError> {
+        let mut state = self.cache.state();
+        let result = match read {
+            Ok((page, cost)) => {
+                let page = Arc::new(page);
+                state.count(&cost);
+                state.keep(self.key, &page);
+                Ok(page)
+            }
+            Err(error) => {
+                state.stats.failed_reads += 1;
+                *state.place(self.key) = Place::Absent;
+                Err(error)
+            }
+        };
+        drop(state);
+        self.result = Some(result.clone());
+        result
+    }
+}
+
+impl Drop for Reading<'_> {
+    fn drop(&mut self) {
+        let result = self.result.take().unwrap_or_else(|| {
+            // Only a panic in the read gets here: the page is free to be tried again, and nobody waits forever.
+            *self.cache.state().place(self.key) = Place::Absent;
+            Err(StoreError::NotFound { what: format!("page {}: its read was given up", self.key.page) })
+        });
+        self.flight.land(result);
+    }
+}
+
+impl State {
+    fn place(&mut self, key: Key) -> &mut Place {
+        let (slot, page) = (key.slot as usize, key.page.0 as usize);
+        if self.table.len() <= slot {
+            self.table.resize_with(slot + 1, Vec::new);
+        }
+        let pages = &mut self.table[slot];
+        if pages.len() <= page {
+            pages.resize(page + 1, Place::Absent);
+        }
+        &mut pages[page]
+    }
+
+    fn count(&mut self, cost: &ReadCost) {
+        self.stats.bytes_read += cost.bytes_read;
+        self.stats.bytes_decoded += cost.bytes_decoded;
+        self.stats.read_nanos += cost.read_nanos;
+        self.stats.decode_nanos += cost.decode_nanos;
+    }
+
+    /// Makes room, then takes the page in: the budget holds at every step.
+    fn keep(&mut self, key: Key, page: &Arc<Page>) {
+        let bytes = page.resident_bytes() as u64;
+        if bytes > self.stats.budget_bytes {
+            self.stats.uncached += 1;
+            *self.place(key) = Place::Absent;
+            return;
+        }
+        self.evict_down_to(self.stats.budget_bytes - bytes);
+        let frame = Frame { key, page: page.clone() };
+        let index = match self.free.pop() {
+            Some(index) => {
+                self.frames[index as usize] = Some(frame);
+                index
+            }
+            None => {
+                self.frames.push(Some(frame));
+                self.frames.len() as u32 - 1
+            }
+        };
+        self.order.insert(index);
+        *self.place(key) = Place::Frame(index);
+        self.stats.resident_pages += 1;
+        self.stats.resident_bytes += bytes;
+        self.stats.peak_bytes = self.stats.peak_bytes.max(self.stats.resident_bytes);
+    }
+
+    fn evict_down_to(&mut self, bytes: u64) {
+        while self.stats.resident_bytes > bytes {
+            let victim = self.order.victim().expect("resident bytes belong to pages in the order");
+            self.order.remove(victim);
+            let frame = self.frames[victim as usize].take().expect("a page in the order has a frame");
+            self.free.push(victim);
+            *self.place(frame.key) = Place::Absent;
+            self.stats.evictions += 1;
+            self.stats.resident_pages -= 1;
+            self.stats.resident_bytes -= frame.page.resident_bytes() as u64;
+        }
+    }
+}

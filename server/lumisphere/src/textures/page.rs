@@ -1,0 +1,196 @@
+//! A page: the unit that is stored, moved and cached.
+
+use std::fmt;
+use std::ops::Range;
+
+use half::f16;
+use half::slice::HalfFloatSliceExt;
+use serde::{Deserialize, Serialize};
+
+use super::error::StoreError;
+
+/// Most channels a texel can have.
+pub const MAX_CHANNELS: u32 = 4;
+/// Most decoded bytes of one page; keeps a record far below a segment's limit.
+pub const MAX_PAGE_BYTES: u64 = 64 << 20;
+
+/// A page's number within its dataset version: dense, from 0.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+pub struct PageId(pub u32);
+
+impl fmt::Display for PageId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.fmt(f)
+    }
+}
+
+/// How one channel of one texel is stored, decoded or not. The numbers are those on disk.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum PixelFormat {
+    /// IEEE binary32, bit-exact.
+    F32 = 1,
+    /// IEEE binary16: relative error ≤ 2⁻¹¹ from 2⁻¹⁴ to 65504, clamped beyond; infinities are kept.
+    F16 = 2,
+}
+
+impl PixelFormat {
+    /// Of one channel.
+    pub fn bytes(self) -> usize {
+        match self {
+            Self::F32 => 4,
+            Self::F16 => 2,
+        }
+    }
+}
+
+/// Size and format of a page.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+pub struct PageShape {
+    /// Texels along a row, above 0.
+    pub width: u32,
+    /// Rows, above 0.
+    pub height: u32,
+    /// Numbers in a texel, 1…[`MAX_CHANNELS`], interleaved.
+    pub channels: u32,
+    /// Of each channel.
+    pub pixel: PixelFormat,
+}
+
+impl PageShape {
+    /// The shape, if pages of it can be stored.
+    pub fn checked(self) -> Result<Self, StoreError> {
+        let bytes = u64::from(self.width) * u64::from(self.height);
+        let bytes = bytes.checked_mul(u64::from(self.channels) * self.pixel.bytes() as u64);
+        let sized = bytes.is_some_and(|b| b > 0 && b <= MAX_PAGE_BYTES);
+        if sized && (1..=MAX_CHANNELS).contains(&self.channels) {
+            return Ok(self);
+        }
+        Err(StoreError::InvalidPage {
+            reason: format!(
+                "{}×{} texels of {} {:?} channels: at least 1×1, 1 to {MAX_CHANNELS} channels, at most {MAX_PAGE_BYTES} bytes",
+                self.width, self.height, self.channels, self.pixel
+            ),
+        })
+    }
+
+    /// Numbers in a row: width · channels.
+    pub fn row_values(&self) -> usize {
+        self.width as usize * self.channels as usize
+    }
+
+    /// Numbers in the page: height · width · channels.
+    pub fn values(&self) -> usize {
+        self.row_values() * self.height as usize
+    }
+
+    /// Bytes of the decoded page.
+    pub fn decoded_bytes(&self) -> usize {
+        self.values() * self.pixel.bytes()
+    }
+}
+
+/// Interleaved numbers, row 0 first, in the stored format.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Texels {
+    /// Bit-exact.
+    F32(Vec<f32>),
+    /// Rounded to nearest even.
+    F16(Vec<f16>),
+}
+
+/// A decoded page, or some whole rows of one.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Page {
+    shape: PageShape,
+    texels: Texels,
+}
+
+impl Page {
+    /// `texels` holds exactly `shape.values()` numbers of `shape.pixel`; the decoder sees to it.
+    pub(super) fn new(shape: PageShape, texels: Texels) -> Self {
+        let (count, pixel) = match &texels {
+            Texels::F32(v) => (v.len(), PixelFormat::F32),
+            Texels::F16(v) => (v.len(), PixelFormat::F16),
+        };
+        assert!(count == shape.values() && pixel == shape.pixel, "a page's texels agree with its shape");
+        Self { shape, texels }
+    }
+
+    /// Size and format; of the rows present, if only some were read.
+    pub fn shape(&self) -> PageShape {
+        self.shape
+    }
+
+    /// The numbers as stored, interleaved, row 0 first.
+    pub fn texels(&self) -> &Texels {
+        &self.texels
+    }
+
+    /// Texel at column `x`, row `y`; channels that the page lacks are 0. Outside the page is a caller's bug and panics.
+    #[inline]
+    pub fn texel(&self, x: u32, y: u32) -> [f32; 4] {
+        let channels = self.shape.channels as usize;
+        let first = y as usize * self.shape.row_values() + x as usize * channels;
+        assert!(x < self.shape.width, "column {x} of a page {} wide", self.shape.width);
+        let mut texel = [0.0; 4];
+        match &self.texels {
+            Texels::F32(v) => texel[..channels].copy_from_slice(&v[first..first + channels]),
+            Texels::F16(v) => {
+                for (out, stored) in texel.iter_mut().zip(&v[first..first + channels]) {
+                    *out = stored.to_f32();
+                }
+            }
+        }
+        texel
+    }
+
+    /// Appends row `y`'s width · channels numbers to `out`.
+    pub fn extend_row(&self, y: u32, out: &mut Vec<f32>) {
+        let count = self.shape.row_values();
+        let row = y as usize * count..(y as usize + 1) * count;
+        match &self.texels {
+            Texels::F32(v) => out.extend_from_slice(&v[row]),
+            Texels::F16(v) => {
+                let start = out.len();
+                out.resize(start + count, 0.0);
+                v[row].convert_to_f32_slice(&mut out[start..]);
+            }
+        }
+    }
+
+    /// All numbers as f32, interleaved, row 0 first.
+    pub fn to_f32(&self) -> Vec<f32> {
+        match &self.texels {
+            Texels::F32(v) => v.clone(),
+            Texels::F16(v) => v.to_f32_vec(),
+        }
+    }
+
+    /// The texels as a GPU takes them: interleaved, no padding, this machine's byte order (R32F … RGBA32F, or the 16-bit ones).
+    pub fn bytes(&self) -> &[u8] {
+        match &self.texels {
+            Texels::F32(v) => bytemuck::cast_slice(v),
+            Texels::F16(v) => bytemuck::cast_slice(v),
+        }
+    }
+
+    /// Some of the rows, as a page of that height.
+    pub(super) fn rows(self, rows: Range<u32>) -> Self {
+        if rows == (0..self.shape.height) {
+            return self;
+        }
+        let count = self.shape.row_values();
+        let values = rows.start as usize * count..rows.end as usize * count;
+        let texels = match self.texels {
+            Texels::F32(v) => Texels::F32(v[values].to_vec()),
+            Texels::F16(v) => Texels::F16(v[values].to_vec()),
+        };
+        Self::new(PageShape { height: rows.end - rows.start, ..self.shape }, texels)
+    }
+
+    /// What holding the page in memory costs, its own fields included.
+    pub fn resident_bytes(&self) -> usize {
+        size_of::<Self>() + self.shape.decoded_bytes()
+    }
+}

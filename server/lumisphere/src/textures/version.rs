@@ -1,0 +1,188 @@
+//! A published dataset version, opened for reading.
+
+use std::cell::RefCell;
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::ops::Range;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::time::Instant;
+
+use super::codec::BLOCK_ROWS;
+use super::disk::Disk;
+use super::error::{At, StoreError};
+use super::hash::ContentHash;
+use super::manifest::Manifest;
+use super::page::{Page, PageId};
+use super::segment::{self, BadRecord, Location};
+use super::store::Folders;
+
+/// What the store knows of a version whether it is open or not.
+#[derive(Debug)]
+pub(super) struct VersionRecord {
+    pub manifest: Manifest,
+    /// Place of each page; None for one whose header is damaged.
+    pub pages: Vec<Option<Location>>,
+    /// Dense number of this version within this process, for tables indexed by it. Never reused.
+    pub slot: u32,
+}
+
+static NEXT_SLOT: AtomicU32 = AtomicU32::new(0);
+
+impl VersionRecord {
+    pub fn new(manifest: Manifest, pages: Vec<Option<Location>>) -> Self {
+        Self { manifest, pages, slot: NEXT_SLOT.fetch_add(1, Ordering::Relaxed) }
+    }
+}
+
+/// An immutable dataset version. While it is held its files stay readable, even if the dataset is deleted.
+#[derive(Debug)]
+pub struct DatasetVersion {
+    record: Arc<VersionRecord>,
+    disk: Arc<dyn Disk>,
+    folders: Arc<Folders>,
+    /// One for each of the manifest's segments; None if the file is gone.
+    segments: Vec<Option<File>>,
+    blobs: BTreeMap<String, Option<File>>,
+}
+
+/// What one read of a page cost.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct ReadCost {
+    /// From disk, headers included.
+    pub bytes_read: u64,
+    /// Of decoded texels.
+    pub bytes_decoded: u64,
+    /// Waiting for the disk.
+    pub read_nanos: u64,
+    /// Checking and unpacking.
+    pub decode_nanos: u64,
+}
+
+thread_local! {
+    // The packed record under decoding: reused, so that a miss allocates only the page that it returns.
+    static RECORD: RefCell<Vec<u8>> = const { RefCell::new(Vec::new()) };
+}
+
+impl DatasetVersion {
+    /// Opens the files, which keeps them alive.
+    pub(super) fn open(record: Arc<VersionRecord>, disk: Arc<dyn Disk>, folders: Arc<Folders>) -> Self {
+        let segments = record.manifest.segments.iter().map(|s| File::open(folders.segment(&s.blake3)).ok()).collect();
+        let blobs = record.manifest.blobs.iter();
+        let blobs = blobs.map(|(name, blob)| (name.clone(), File::open(folders.blob(&blob.blake3)).ok())).collect();
+        Self { record, disk, folders, segments, blobs }
+    }
+
+    /// All that was said at publication.
+    pub fn manifest(&self) -> &Manifest {
+        &self.record.manifest
+    }
+
+    /// Pages 0…count−1 exist.
+    pub fn page_count(&self) -> u32 {
+        self.manifest().pages.count
+    }
+
+    /// Dense number of this version within this process, the same for every opening of it.
+    pub fn slot(&self) -> u32 {
+        self.record.slot
+    }
+
+    /// Content of a named blob, checked against its hash.
+    pub fn blob(&self, name: &str) -> Result<Vec<u8>, StoreError> {
+        let manifest = self.manifest();
+        let not_found = || StoreError::NotFound { what: format!("blob {name} of {} version {}", manifest.dataset, manifest.version) };
+        let entry = manifest.blobs.get(name).ok_or_else(not_found)?;
+        let path = self.folders.blob(&entry.blake3);
+        let damaged = |reason: &str| StoreError::DamagedFile { reason: reason.into(), path: path.clone() };
+        let file = self.blobs.get(name).and_then(Option::as_ref).ok_or_else(|| damaged("the file is missing"))?;
+        if file.metadata().at("inspect", &path)?.len() != entry.bytes {
+            return Err(damaged("wrong length"));
+        }
+        let mut bytes = vec![0; entry.bytes as usize];
+        self.disk.read_at(file, &mut bytes, 0).at("read", &path)?;
+        if ContentHash::of(&bytes) == entry.blake3 { Ok(bytes) } else { Err(damaged("content does not have the hash in its name")) }
+    }
+
+    /// A whole page, every block checked.
+    pub fn read_page(&self, page: PageId) -> Result<Page, StoreError> {
+        self.read_page_with_cost(page).map(|(page, _)| page)
+    }
+
+    /// A whole page, and what reading it cost.
+    pub fn read_page_with_cost(&self, page: PageId) -> Result<(Page, ReadCost), StoreError> {
+        let (location, file, path) = self.locate(page)?;
+        RECORD.with_borrow_mut(|record| {
+            let started = Instant::now();
+            record.resize(location.length as usize, 0);
+            self.read(file, record, location.offset, page, &path)?;
+            let read = Instant::now();
+            let decoded = segment::decode_record(record, page, location.checksum).map_err(|bad| self.damaged(page, bad, path))?;
+            let cost = ReadCost {
+                bytes_read: record.len() as u64,
+                bytes_decoded: decoded.shape().decoded_bytes() as u64,
+                read_nanos: (read - started).as_nanos() as u64,
+                decode_nanos: read.elapsed().as_nanos() as u64,
+            };
+            Ok((decoded, cost))
+        })
+    }
+
+    /// Some rows of a page, as a page of that height; reads and checks only the blocks they lie in.
+    pub fn read_rows(&self, page: PageId, rows: Range<u32>) -> Result<Page, StoreError> {
+        let (location, file, path) = self.locate(page)?;
+        let header = self.read_header(file, &location, page, &path)?;
+        if rows.is_empty() || rows.end > header.shape.height {
+            return Err(StoreError::NotFound {
+                what: format!("rows {}..{} of page {page} with {} rows", rows.start, rows.end, header.shape.height),
+            });
+        }
+        let blocks = rows.start / BLOCK_ROWS..rows.end.div_ceil(BLOCK_ROWS);
+        let range = segment::blocks_range(&header, blocks.clone());
+        let mut bytes = vec![0; range.len()];
+        self.read(file, &mut bytes, location.offset + range.start as u64, page, &path)?;
+        let decoded = segment::decode_blocks(&header, blocks.clone(), &bytes, range.start).map_err(|bad| self.damaged(page, bad, path))?;
+        let first = rows.start - blocks.start * BLOCK_ROWS;
+        Ok(decoded.rows(first..first + rows.len() as u32))
+    }
+
+    /// Reads the fixed part, which tells how long the block table is, then both.
+    fn read_header(&self, file: &File, location: &Location, page: PageId, path: &PathBuf) -> Result<segment::Header, StoreError> {
+        let mut bytes = vec![0; segment::FIXED_BYTES.min(location.length as usize)];
+        self.read(file, &mut bytes, location.offset, page, path)?;
+        let header_bytes = segment::header_bytes(&bytes).min(location.length as usize);
+        bytes.resize(header_bytes, 0);
+        self.read(file, &mut bytes, location.offset, page, path)?;
+        segment::expected_header(&bytes, page, location.checksum).map_err(|bad| self.damaged(page, bad, path.clone()))
+    }
+
+    /// Where a page's record lies.
+    fn locate(&self, page: PageId) -> Result<(Location, &File, PathBuf), StoreError> {
+        let manifest = self.manifest();
+        let Some(place) = self.record.pages.get(page.0 as usize) else {
+            return Err(StoreError::NotFound { what: format!("page {page} of {} version {}", manifest.dataset, manifest.version) });
+        };
+        let damaged = |reason, path| self.damaged(page, BadRecord { rows: None, reason }, path);
+        let location = place.ok_or_else(|| damaged("no intact header of it was found in any segment", self.folders.segments.clone()))?;
+        let index = location.segment as usize;
+        let path = self.folders.segment(&manifest.segments[index].blake3);
+        let file = self.segments[index].as_ref().ok_or_else(|| damaged("the segment is missing", path.clone()))?;
+        Ok((location, file, path))
+    }
+
+    fn read(&self, file: &File, bytes: &mut [u8], offset: u64, page: PageId, path: &PathBuf) -> Result<(), StoreError> {
+        match self.disk.read_at(file, bytes, offset) {
+            Err(error) if error.kind() == std::io::ErrorKind::UnexpectedEof => {
+                Err(self.damaged(page, BadRecord { rows: None, reason: "the segment ends before them" }, path.clone()))
+            }
+            result => result.at("read", path),
+        }
+    }
+
+    fn damaged(&self, page: PageId, bad: BadRecord, path: PathBuf) -> StoreError {
+        // Of a page whose header cannot be read only this is known: all of its rows, at most the tallest shape's.
+        let tallest = self.manifest().pages.shapes.iter().map(|s| s.height).max().unwrap_or(0);
+        StoreError::DamagedPage { page, rows: bad.rows.unwrap_or(0..tallest), reason: bad.reason, path }
+    }
+}
