@@ -1,0 +1,195 @@
+//! From linear radiance to the 8-bit sRGB codes of a screen.
+//!
+//! Called once a frame by the server, and by the metrics that judge what a viewer sees. Both curves grow monotonically, so each of the
+//! 256 codes is an interval of radiance: a table finds the interval instead of a power and an exponential per sample, and the codes are
+//! those of the formula, correctly rounded.
+
+use rayon::prelude::*;
+
+use super::{Image, ImageError, Rgb8};
+use crate::radiometry::color::{linear_from_srgb, srgb_from_linear};
+
+/// Factor on radiance before the curve: 1 shows radiance 1 as white under [`ToneMap::Clamp`]. Between 2⁻³⁰ and 2³⁰.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
+pub struct Exposure(f32);
+
+impl Exposure {
+    /// Radiance as it is.
+    pub const ONE: Self = Self(1.0);
+
+    /// None outside 2⁻³⁰…2³⁰, beyond which no sample of a half-float image would land between black and white.
+    pub fn new(factor: f32) -> Option<Self> {
+        const RANGE: f32 = (1u32 << 30) as f32;
+        (1.0 / RANGE..=RANGE).contains(&factor).then_some(Self(factor))
+    }
+
+    /// The factor.
+    pub fn factor(self) -> f32 {
+        self.0
+    }
+}
+
+/// How radiance becomes light on the screen, in [0, 1]; the sRGB encoding follows in either case.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ToneMap {
+    /// y = clamp(exposure · x): exact up to white, cut above. For metrics and comparisons.
+    Clamp(Exposure),
+    /// y = 1 − exp(−exposure · x): never cuts; about `Clamp` in the dark. The viewer's γ in the parameter-map thesis is this exposure.
+    Exponential(Exposure),
+}
+
+impl ToneMap {
+    /// Radiance 1 is white, no compression.
+    pub const PLAIN: Self = Self::Clamp(Exposure::ONE);
+
+    /// sRGB-encoded value, in [0, 1], shown for a linear sample; 0 for NaN and negative ones.
+    pub fn encoded(self, linear: f32) -> f32 {
+        if !(linear > 0.0) {
+            return 0.0;
+        }
+        let light = match self {
+            Self::Clamp(exposure) => (exposure.0 * linear).min(1.0),
+            Self::Exponential(exposure) => -(-exposure.0 * linear).exp_m1(),
+        };
+        srgb_from_linear(light).min(1.0)
+    }
+
+    /// Radiance that is shown as an encoded value in [0, 1): the inverse of [`ToneMap::encoded`].
+    fn decoded(self, encoded: f32) -> f32 {
+        let light = linear_from_srgb(encoded);
+        match self {
+            Self::Clamp(exposure) => light / exposure.0,
+            Self::Exponential(exposure) => -(-light).ln_1p() / exposure.0,
+        }
+    }
+}
+
+/// The first three planes as 8-bit sRGB codes. NaN and negative samples give 0, infinite ones 255.
+pub fn tone_mapped(image: &Image, tone_map: ToneMap) -> Result<Rgb8, ImageError> {
+    let [red, green, blue, ..] = &image.planes[..] else {
+        return Err(ImageError::Shape { expected: "3 planes".into(), actual: format!("{} planes", image.channels()) });
+    };
+    const PIXELS_PER_TASK: usize = 1 << 14;
+    let table = CodeTable::new(tone_map);
+    let mut bytes = vec![0; 3 * image.width * image.height];
+    bytes.par_chunks_mut(3 * PIXELS_PER_TASK).enumerate().for_each(|(task, codes)| {
+        let start = task * PIXELS_PER_TASK;
+        let samples = red[start..].iter().zip(&green[start..]).zip(&blue[start..]);
+        for (pixel, ((&r, &g), &b)) in codes.chunks_exact_mut(3).zip(samples) {
+            pixel[0] = table.code(r);
+            pixel[1] = table.code(g);
+            pixel[2] = table.code(b);
+        }
+    });
+    Ok(Rgb8 { width: image.width, height: image.height, bytes })
+}
+
+/// Finds a sample's code among 255 thresholds: the upper bits of an f32 (exponent and 7 bits of mantissa) index a bucket that
+/// knows the code of its lower end; buckets are narrower than codes, so at most one threshold is left to pass.
+struct CodeTable {
+    /// `thresholds[code]` is the least sample shown as `code`; the last is infinite and belongs to no code.
+    thresholds: [f32; 257],
+    /// Code at the lower end of each bucket.
+    codes: Vec<u8>,
+    first_bucket: u32,
+}
+
+impl CodeTable {
+    fn new(tone_map: ToneMap) -> Self {
+        let mut thresholds = [f32::INFINITY; 257];
+        thresholds[0] = 0.0;
+        for (code, threshold) in thresholds.iter_mut().enumerate().take(256).skip(1) {
+            *threshold = tone_map.decoded((code as f32 - 0.5) / 255.0);
+        }
+        let (first_bucket, last_bucket) = (bucket(thresholds[1]), bucket(thresholds[255]));
+        let code_at = |lower: f32| thresholds[1..256].partition_point(|&threshold| threshold <= lower) as u8;
+        let codes = (first_bucket..=last_bucket).map(|bucket| code_at(f32::from_bits(bucket << BUCKET_SHIFT))).collect();
+        Self { thresholds, codes, first_bucket }
+    }
+
+    fn code(&self, sample: f32) -> u8 {
+        if !(sample >= self.thresholds[1]) {
+            return 0;
+        }
+        if sample >= self.thresholds[255] {
+            return 255;
+        }
+        let mut code = self.codes[(bucket(sample) - self.first_bucket) as usize];
+        while sample >= self.thresholds[usize::from(code) + 1] {
+            code += 1;
+        }
+        code
+    }
+}
+
+const BUCKET_SHIFT: u32 = 16;
+
+fn bucket(sample: f32) -> u32 {
+    sample.to_bits() >> BUCKET_SHIFT
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MAPS: [ToneMap; 5] = [
+        ToneMap::PLAIN,
+        ToneMap::Clamp(Exposure(0.013)),
+        ToneMap::Exponential(Exposure::ONE),
+        ToneMap::Exponential(Exposure(37.5)),
+        ToneMap::Exponential(Exposure(9.3e-10)),
+    ];
+
+    #[test]
+    fn table_codes_are_the_formulas_rounded() {
+        for tone_map in MAPS {
+            let table = CodeTable::new(tone_map);
+            let mut seen = [false; 256];
+            // Every 4099th float from 2⁻⁶⁰ to 2⁵⁰.
+            for bits in (0x2180_0000..0x5880_0000u32).step_by(4_099) {
+                let sample = f32::from_bits(bits);
+                let exact = tone_map.encoded(sample) * 255.0;
+                let code = table.code(sample);
+                seen[usize::from(code)] = true;
+                // Half a code, and the rounding of f32 powers near the thresholds.
+                assert!((f32::from(code) - exact).abs() <= 0.5 + 1e-3, "{tone_map:?}: {sample} is {exact}, table says {code}");
+            }
+            assert!(seen.iter().all(|&seen| seen), "{tone_map:?} skips codes");
+        }
+    }
+
+    #[test]
+    fn exponential_map_has_its_closed_form() {
+        // 1 − e^(−2 · 0.5) = 0.63212 of white, encoded 1.055 · 0.63212^(1/2.4) − 0.055.
+        let shown = ToneMap::Exponential(Exposure::new(2.0).unwrap()).encoded(0.5);
+        assert!((shown - 0.816_48).abs() < 1e-4, "{shown}");
+    }
+
+    #[test]
+    fn samples_that_are_not_colours_have_defined_codes() {
+        for tone_map in MAPS {
+            let table = CodeTable::new(tone_map);
+            let codes = [f32::NAN, -1.0, f32::NEG_INFINITY, -0.0, 0.0, f32::INFINITY].map(|sample| table.code(sample));
+            assert_eq!(codes, [0, 0, 0, 0, 0, 255]);
+        }
+    }
+
+    #[test]
+    fn exposure_outside_its_range_cannot_be_made() {
+        for factor in [0.0, -1.0, f32::NAN, f32::INFINITY, 1e-10, 1e10] {
+            assert!(Exposure::new(factor).is_none(), "{factor}");
+        }
+    }
+
+    #[test]
+    fn planes_become_interleaved_codes_and_back() {
+        let codes = Rgb8 { width: 256, height: 3, bytes: (0..256 * 9).map(|index| (index * 31 % 256) as u8).collect() };
+        assert_eq!(tone_mapped(&codes.to_linear(), ToneMap::PLAIN).unwrap(), codes);
+    }
+
+    #[test]
+    fn too_few_planes_are_a_typed_error() {
+        assert!(matches!(tone_mapped(&Image::zeros(4, 4, 2), ToneMap::PLAIN), Err(ImageError::Shape { .. })));
+    }
+}
