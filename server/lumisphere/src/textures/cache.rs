@@ -87,23 +87,30 @@ struct Key {
 /// One read that others wait on.
 #[derive(Debug, Default)]
 struct Flight {
-    result: Mutex<Option<Result<Arc<Page>, StoreError>>>,
+    outcome: Mutex<Option<Outcome>>,
     landed: Condvar,
 }
 
+#[derive(Debug, Clone)]
+enum Outcome {
+    Landed(Result<Arc<Page>, StoreError>),
+    /// The reader panicked: whoever waits tries again.
+    Lost,
+}
+
 impl Flight {
-    fn land(&self, result: Result<Arc<Page>, StoreError>) {
-        *self.result.lock().unwrap_or_else(PoisonError::into_inner) = Some(result);
+    fn land(&self, outcome: Outcome) {
+        *self.outcome.lock().unwrap_or_else(PoisonError::into_inner) = Some(outcome);
         self.landed.notify_all();
     }
 
-    fn wait(&self) -> Result<Arc<Page>, StoreError> {
-        let mut result = self.result.lock().unwrap_or_else(PoisonError::into_inner);
+    fn wait(&self) -> Outcome {
+        let mut outcome = self.outcome.lock().unwrap_or_else(PoisonError::into_inner);
         loop {
-            if let Some(result) = &*result {
-                return result.clone();
+            if let Some(outcome) = &*outcome {
+                return outcome.clone();
             }
-            result = self.landed.wait(result).unwrap_or_else(PoisonError::into_inner);
+            outcome = self.landed.wait(outcome).unwrap_or_else(PoisonError::into_inner);
         }
     }
 }
@@ -128,26 +135,39 @@ impl Cache {
     fn page_with(&self, key: Key, read: impl FnOnce() -> Result<(Page, ReadCost), StoreError>) -> Result<Arc<Page>, StoreError> {
         let mut state = self.state();
         state.stats.look_ups += 1;
-        match state.place(key).clone() {
-            Place::Frame(frame) => {
-                state.stats.hits += 1;
-                state.order.touch(frame);
-                let resident = state.frames[frame as usize].as_ref().expect("a page's frame is occupied");
-                Ok(resident.page.clone())
-            }
-            Place::Loading(flight) => {
-                state.stats.misses += 1;
-                state.stats.coalesced_waits += 1;
-                drop(state);
-                flight.wait()
-            }
-            Place::Absent => {
-                state.stats.misses += 1;
-                let flight = Arc::new(Flight::default());
-                *state.place(key) = Place::Loading(flight.clone());
-                drop(state);
-                let reading = Reading { cache: self, key, flight, result: None };
-                reading.finish(read())
+        if let Place::Frame(frame) = *state.place(key) {
+            state.stats.hits += 1;
+            state.order.touch(frame);
+            let resident = state.frames[frame as usize].as_ref().expect("a page's frame is occupied");
+            return Ok(resident.page.clone());
+        }
+        state.stats.misses += 1;
+        loop {
+            match state.place(key).clone() {
+                Place::Frame(frame) => {
+                    // Another reader brought it while this one waited on a lost read.
+                    state.stats.coalesced_waits += 1;
+                    let resident = state.frames[frame as usize].as_ref().expect("a page's frame is occupied");
+                    return Ok(resident.page.clone());
+                }
+                Place::Loading(flight) => {
+                    state.stats.coalesced_waits += 1;
+                    drop(state);
+                    match flight.wait() {
+                        Outcome::Landed(result) => return result,
+                        Outcome::Lost => {
+                            state = self.state();
+                            state.stats.coalesced_waits -= 1;
+                        }
+                    }
+                }
+                Place::Absent => {
+                    let flight = Arc::new(Flight::default());
+                    *state.place(key) = Place::Loading(flight.clone());
+                    drop(state);
+                    let reading = Reading { cache: self, key, flight, outcome: Outcome::Lost };
+                    return reading.finish(read());
+                }
             }
         }
     }
@@ -179,7 +199,7 @@ struct Reading<'a> {
     cache: &'a Cache,
     key: Key,
     flight: Arc<Flight>,
-    result: Option<Result<Arc<Page>, StoreError>>,
+    outcome: Outcome,
 }
 
 impl Reading<'_> {
@@ -199,19 +219,17 @@ impl Reading<'_> {
             }
         };
         drop(state);
-        self.result = Some(result.clone());
+        self.outcome = Outcome::Landed(result.clone());
         result
     }
 }
 
 impl Drop for Reading<'_> {
     fn drop(&mut self) {
-        let result = self.result.take().unwrap_or_else(|| {
-            // Only a panic in the read gets here: the page is free to be tried again, and nobody waits forever.
+        if matches!(self.outcome, Outcome::Lost) {
             *self.cache.state().place(self.key) = Place::Absent;
-            Err(StoreError::NotFound { what: format!("page {}: its read was given up", self.key.page) })
-        });
-        self.flight.land(result);
+        }
+        self.flight.land(self.outcome.clone());
     }
 }
 
@@ -275,3 +293,6 @@ impl State {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

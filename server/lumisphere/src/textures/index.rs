@@ -4,9 +4,9 @@
 //! believed that does not give the digest in the manifest, panics inside it count as errors, and whatever fails is deleted and
 //! rebuilt from the segments.
 
-use std::fs;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
+use std::{fs, io};
 
 use super::hash::ContentHash;
 use super::segment::Location;
@@ -40,12 +40,11 @@ impl Index {
 
     /// Deletes whatever is there and makes an empty one.
     pub fn recreate(path: &Path, cache_bytes: u64) -> Result<Self, String> {
-        match fs::remove_dir_all(path) {
-            Err(error) if error.kind() != std::io::ErrorKind::NotFound => return Err(error.to_string()),
+        let removed = if path.is_dir() { fs::remove_dir_all(path) } else { fs::remove_file(path) };
+        match removed {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error.to_string()),
             _ => {}
         }
-        // A file in the folder's place, should there be one.
-        let _ = fs::remove_file(path);
         Self::open(path, cache_bytes)
     }
 

@@ -89,19 +89,18 @@ fn check_lengths(manifest: &Manifest, folders: &Folders, report: &mut OpenReport
 struct OpeningIndex {
     index: Option<Index>,
     outcome: IndexOutcome,
+    /// Why a version may be missing from it.
+    reason: String,
 }
 
 impl OpeningIndex {
     fn open(path: &Path, cache_bytes: u64) -> Self {
-        let existed = path.exists();
+        let reason = if path.exists() { "entries do not give the manifest's digest" } else { "there was none" }.to_string();
         match Index::open(path, cache_bytes) {
-            Ok(index) => Self { index: Some(index), outcome: IndexOutcome::Intact },
+            Ok(index) => Self { index: Some(index), outcome: IndexOutcome::Intact, reason },
             Err(first) => match Index::recreate(path, cache_bytes) {
-                Ok(index) => {
-                    let reason = if existed { first } else { "there was none".into() };
-                    Self { index: Some(index), outcome: IndexOutcome::Rebuilt { versions: Vec::new(), reason } }
-                }
-                Err(reason) => Self { index: None, outcome: IndexOutcome::Unavailable { reason } },
+                Ok(index) => Self { index: Some(index), outcome: rebuilt(first), reason },
+                Err(reason) => Self { index: None, outcome: IndexOutcome::Unavailable { reason: reason.clone() }, reason },
             },
         }
     }
@@ -132,19 +131,21 @@ impl OpeningIndex {
             self.index = None;
             return;
         }
-        let version = (manifest.dataset.clone(), manifest.version);
-        match &mut self.outcome {
-            IndexOutcome::Rebuilt { versions, .. } => versions.push(version),
-            outcome => {
-                let reason = "entries do not give the manifest's digest".into();
-                *outcome = IndexOutcome::Rebuilt { versions: vec![version], reason };
-            }
+        if self.outcome == IndexOutcome::Intact {
+            self.outcome = rebuilt(self.reason.clone());
+        }
+        if let IndexOutcome::Rebuilt { versions, .. } = &mut self.outcome {
+            versions.push((manifest.dataset.clone(), manifest.version));
         }
     }
 
     fn finish(self) -> (Option<Index>, IndexOutcome) {
         (self.index, self.outcome)
     }
+}
+
+fn rebuilt(reason: String) -> IndexOutcome {
+    IndexOutcome::Rebuilt { versions: Vec::new(), reason }
 }
 
 /// Places of the pages as the segments' own headers give them; None for a page whose header is nowhere intact.

@@ -94,7 +94,7 @@ impl Staging {
             file
         };
         if file.dataset != claim.dataset {
-            return Err(StoreError::Busy { what: format!("staging {token} belongs to dataset {}", file.dataset) });
+            return Err(StoreError::AlreadyExists { what: format!("staging {token} of dataset {}", file.dataset) });
         }
         let mut state = State { file, writers: Vec::new(), pages: BTreeMap::new() };
         while segment_path(&folder, state.writers.len()).exists() {

@@ -6,7 +6,11 @@ use std::sync::Arc;
 
 use super::*;
 
+mod crash;
+mod damage;
 mod roundtrip;
+mod sharing;
+mod uploads;
 
 /// A page's texels: every number different, neighbours alike, as in a picture.
 fn texels(shape: &PageShape, seed: u32) -> Vec<f32> {

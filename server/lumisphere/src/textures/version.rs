@@ -4,7 +4,7 @@ use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::ops::Range;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Instant;
@@ -148,13 +148,13 @@ impl DatasetVersion {
     }
 
     /// Reads the fixed part, which tells how long the block table is, then both.
-    fn read_header(&self, file: &File, location: &Location, page: PageId, path: &PathBuf) -> Result<segment::Header, StoreError> {
+    fn read_header(&self, file: &File, location: &Location, page: PageId, path: &Path) -> Result<segment::Header, StoreError> {
         let mut bytes = vec![0; segment::FIXED_BYTES.min(location.length as usize)];
         self.read(file, &mut bytes, location.offset, page, path)?;
         let header_bytes = segment::header_bytes(&bytes).min(location.length as usize);
         bytes.resize(header_bytes, 0);
         self.read(file, &mut bytes, location.offset, page, path)?;
-        segment::expected_header(&bytes, page, location.checksum).map_err(|bad| self.damaged(page, bad, path.clone()))
+        segment::expected_header(&bytes, page, location.checksum).map_err(|bad| self.damaged(page, bad, path.into()))
     }
 
     /// Where a page's record lies.
@@ -171,10 +171,10 @@ impl DatasetVersion {
         Ok((location, file, path))
     }
 
-    fn read(&self, file: &File, bytes: &mut [u8], offset: u64, page: PageId, path: &PathBuf) -> Result<(), StoreError> {
+    fn read(&self, file: &File, bytes: &mut [u8], offset: u64, page: PageId, path: &Path) -> Result<(), StoreError> {
         match self.disk.read_at(file, bytes, offset) {
             Err(error) if error.kind() == std::io::ErrorKind::UnexpectedEof => {
-                Err(self.damaged(page, BadRecord { rows: None, reason: "the segment ends before them" }, path.clone()))
+                Err(self.damaged(page, BadRecord { rows: None, reason: "the segment ends before them" }, path.into()))
             }
             result => result.at("read", path),
         }
