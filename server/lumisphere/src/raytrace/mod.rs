@@ -1,1 +1,27 @@
-//! (empty so far)
+//! Ground truth: a path tracer against which everything else is measured, and which captures are made with.
+//!
+//! Unidirectional paths with next-event estimation (sky, area and point lights, chosen by power) and multiple importance sampling
+//! (Veach 1997), over a four-wide tree built by `obvhs`. Surfaces are two-sided; area lights shine from the side that their
+//! normals point to. Materials: Lambert (constant or textured), mirror, GGX with F = 1.
+//!
+//! Fails slowly where its sampling has no answer: caustics of small lights through mirrors, and point lights seen in mirrors
+//! (which have no extent to be hit: their caustics are missing).
+
+mod bvh;
+mod distribution;
+mod lights;
+mod low_discrepancy;
+mod path;
+mod render;
+mod scattering;
+mod sky;
+mod surfaces;
+mod tracer;
+mod traverse;
+mod warp;
+
+#[cfg(test)]
+mod tests;
+
+pub use render::{TraceSettings, TracedImage};
+pub use tracer::{Appearance, Hit, TraceError, Tracer};

@@ -1,0 +1,175 @@
+//! The scene's triangles and textures, flattened for shading: one record a triangle, no pointer to follow but one.
+
+use glam::{Vec2, Vec3};
+
+use super::traverse::RawHit;
+use crate::geometry::TriangleMesh;
+use crate::scenes::{Albedo, Material, Scene, Texture};
+
+/// One triangle with everything shading asks for. Normals and winding may disagree in a file: `front` follows the normals.
+#[derive(Debug, Clone)]
+pub(super) struct SurfaceTriangle {
+    pub corners: [Vec3; 3],
+    pub normals: [Vec3; 3],
+    pub uvs: [Vec2; 3],
+    /// Unit geometric normal on the side that the shading normals point to.
+    pub front: Vec3,
+    /// How far a ray must start from the surface to be clear of rounding: see `offset_along`.
+    pub rounding: f32,
+    /// Which object, and which triangle of its mesh.
+    pub object: u32,
+    pub triangle: u32,
+}
+
+/// How a surface reflects, ready to evaluate.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Reflectance {
+    Lambert(Vec3),
+    LambertTexture(usize),
+    Mirror(Vec3),
+    Ggx { alpha: f32, reflectance: Vec3 },
+}
+
+/// Texture with its channels side by side: one cache line a footprint row instead of three.
+#[derive(Debug, Clone)]
+pub(super) struct TexelGrid {
+    width: usize,
+    height: usize,
+    texels: Vec<Vec3>,
+}
+
+// Barycentric interpolation of a position rounds by at most a few ULP of the largest coordinate (pbrt-v4 §6.8.4: γ₇); the
+// plane test of the triangle itself, over edges as long as twice that, about four times as much. 32 ULP clears both and scale with the scene.
+const ROUNDING_ULPS: f32 = 32.0;
+
+impl SurfaceTriangle {
+    fn new(mesh: &TriangleMesh, object: usize, triangle: usize) -> Self {
+        let [a, b, c] = mesh.triangles[triangle].map(|i| i as usize);
+        let corners = mesh.corners(triangle);
+        let normals = [mesh.normals[a], mesh.normals[b], mesh.normals[c]];
+        let geometric = mesh.area_vector(triangle).normalize_or(normals[0]);
+        let front = if geometric.dot(normals[0] + normals[1] + normals[2]) < 0.0 { -geometric } else { geometric };
+        let largest = corners.iter().fold(0f32, |m, p| m.max(p.abs().max_element()));
+        Self {
+            corners,
+            normals,
+            uvs: [mesh.uvs[a], mesh.uvs[b], mesh.uvs[c]],
+            front,
+            rounding: ROUNDING_ULPS * f32::EPSILON * largest,
+            object: object as u32,
+            triangle: triangle as u32,
+        }
+    }
+
+    /// Point at barycentric weights (1−u−v, u, v).
+    #[inline]
+    pub fn position(&self, u: f32, v: f32) -> Vec3 {
+        let [a, b, c] = self.corners;
+        a + u * (b - a) + v * (c - a)
+    }
+
+    /// Interpolated unit shading normal, on its stored side.
+    #[inline]
+    pub fn shading_normal(&self, u: f32, v: f32) -> Vec3 {
+        let [a, b, c] = self.normals;
+        (a + u * (b - a) + v * (c - a)).normalize_or(self.front)
+    }
+
+    /// Interpolated texture coordinates.
+    #[inline]
+    pub fn uv(&self, u: f32, v: f32) -> Vec2 {
+        let [a, b, c] = self.uvs;
+        a + u * (b - a) + v * (c - a)
+    }
+
+    /// Area in squared scene units.
+    pub fn area(&self) -> f32 {
+        let [a, b, c] = self.corners;
+        0.5 * (b - a).cross(c - a).length()
+    }
+}
+
+/// Where a ray that leaves the surface toward `direction` starts: off the surface by its rounding error, on the side it leaves to.
+#[inline]
+pub(super) fn offset_along(position: Vec3, normal: Vec3, rounding: f32, direction: Vec3) -> Vec3 {
+    position + rounding.copysign(normal.dot(direction)) * normal
+}
+
+/// How far a ray must start from a surface of unknown triangle, in a scene whose coordinates reach `extent`.
+pub(super) fn rounding_at(position: Vec3, extent: f32) -> f32 {
+    ROUNDING_ULPS * f32::EPSILON * position.abs().max_element().max(extent)
+}
+
+/// Every triangle of every object, in order.
+pub(super) fn flatten(scene: &Scene) -> Vec<SurfaceTriangle> {
+    let of_object = |(index, object): (usize, &crate::scenes::Object)| -> Vec<SurfaceTriangle> {
+        (0..object.mesh.triangles.len()).map(|t| SurfaceTriangle::new(&object.mesh, index, t)).collect()
+    };
+    scene.objects.iter().enumerate().flat_map(of_object).collect()
+}
+
+impl Reflectance {
+    // Below this roughness the microfacet density overflows the precision of f32 directions; the surface is a mirror to the eye.
+    const SMOOTHEST: f32 = 1e-3;
+
+    pub fn new(material: &Material) -> Self {
+        match material {
+            Material::Diffuse { albedo: Albedo::Constant(albedo) } => Self::Lambert(*albedo),
+            Material::Diffuse { albedo: Albedo::Texture(texture) } => Self::LambertTexture(*texture),
+            Material::Mirror { reflectance } => Self::Mirror(*reflectance),
+            Material::Ggx { alpha, reflectance } if *alpha > Self::SMOOTHEST => Self::Ggx { alpha: *alpha, reflectance: *reflectance },
+            Material::Ggx { reflectance, .. } => Self::Mirror(*reflectance),
+        }
+    }
+
+    /// The Lambertian surface of the same colour.
+    pub fn diffuse(self) -> Self {
+        match self {
+            Self::Mirror(reflectance) | Self::Ggx { reflectance, .. } => Self::Lambert(reflectance),
+            lambert => lambert,
+        }
+    }
+}
+
+impl TexelGrid {
+    pub fn new(texture: &Texture) -> Self {
+        let image = &texture.image;
+        let texels = (0..image.width * image.height).map(|i| Vec3::from(image.rgb(i))).collect();
+        Self { width: image.width, height: image.height, texels }
+    }
+
+    /// Linear RGB at (u, v), bilinear, repeating: what `Texture::sample` gives.
+    pub fn sample(&self, uv: Vec2) -> Vec3 {
+        // Coordinates of the sample among texel centres, in [−½, size − ½].
+        let x = (uv.x - uv.x.floor()) * self.width as f32 - 0.5;
+        let y = (1.0 - uv.y - (1.0 - uv.y).floor()) * self.height as f32 - 0.5;
+        let (left, right, fx) = neighbours(x, self.width);
+        let (top, bottom, fy) = neighbours(y, self.height);
+        let row = |r: usize| self.texels[r * self.width + left].lerp(self.texels[r * self.width + right], fx);
+        row(top).lerp(row(bottom), fy)
+    }
+}
+
+// The two texels around position x ∈ [−½, size − ½] and the share of the second; repeats.
+#[inline]
+fn neighbours(x: f32, size: usize) -> (usize, usize, f32) {
+    let below = x.floor();
+    let first = if below < 0.0 { size - 1 } else { (below as usize).min(size - 1) };
+    let second = if first + 1 == size { 0 } else { first + 1 };
+    (first, second, x - below)
+}
+
+/// Barycentric weights and record of a hit.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct SurfacePoint<'a> {
+    pub triangle: &'a SurfaceTriangle,
+    pub u: f32,
+    pub v: f32,
+    pub distance: f32,
+}
+
+impl<'a> SurfacePoint<'a> {
+    pub fn new(triangles: &'a [SurfaceTriangle], hit: RawHit) -> Self {
+        Self { triangle: &triangles[hit.triangle as usize], u: hit.u, v: hit.v, distance: hit.distance }
+    }
+}

@@ -1,0 +1,91 @@
+//! The looks that ground truths are made of.
+
+use std::f32::consts::PI;
+
+use glam::Vec3;
+
+use super::*;
+use crate::raytrace::Appearance;
+use crate::scenes::PointLight;
+
+/// Floor and back wall as one object, a point light, no sky: with one bounce every radiance is exact.
+fn corner() -> (Tracer, Camera) {
+    let floor = floor(2.0, 0.0);
+    let wall = quad([Vec3::new(-2.0, 0.0, -1.0), Vec3::new(2.0, 0.0, -1.0), Vec3::new(2.0, 4.0, -1.0), Vec3::new(-2.0, 4.0, -1.0)]);
+    let join = |a: &[Vec3], b: &[Vec3]| [a, b].concat();
+    let mut triangles = floor.triangles.clone();
+    triangles.extend(wall.triangles.iter().map(|t| t.map(|i| i + 4)));
+    let uvs = [floor.uvs, wall.uvs].concat();
+    let mesh = TriangleMesh::new(join(&floor.positions, &wall.positions), join(&floor.normals, &wall.normals), uvs, triangles).unwrap();
+    let mut scene = scene(vec![(mesh, diffuse(0.4), None)], Vec3::ZERO);
+    scene.point_lights.push(PointLight { position: LIGHT, intensity: Vec3::splat(5.0) });
+    // Looks steeply at the floor's origin, from where the mirrored ray meets the wall at (0, 1, −1).
+    (Tracer::new(&scene).unwrap(), camera(Vec3::new(0.0, 1.0, 1.0), Vec3::ZERO, 0.01, 1))
+}
+
+const LIGHT: Vec3 = Vec3::new(0.0, 2.0, 1.0);
+
+/// Radiance of a surface of albedo 0.4 with this normal under the light.
+fn lit(at: Vec3, normal: Vec3) -> f32 {
+    let to_light = LIGHT - at;
+    0.4 / PI * 5.0 * to_light.normalize().dot(normal) / to_light.length_squared()
+}
+
+#[test]
+fn one_mirror_sees_the_object_itself_diffuse() {
+    let (tracer, camera) = corner();
+    let seen = |appearance| render(&tracer.with_appearance(0, appearance), &camera, &settings(4, 1)).radiance.planes[0][0];
+    let close = |measured: f32, expected: f32| assert!((measured / expected - 1.0).abs() < 1e-3, "{measured}, {expected} expected");
+    let reflectance = Vec3::splat(0.9);
+    close(seen(Appearance::Diffuse), lit(Vec3::ZERO, Vec3::Y));
+    close(seen(Appearance::OneMirror { reflectance }), 0.9 * lit(Vec3::new(0.0, 1.0, -1.0), Vec3::Z));
+    // A physical mirror shows a mirror, and there nothing but the black sky.
+    assert_eq!(seen(Appearance::PhysicalMirror { reflectance }), 0.0);
+    close(seen(Appearance::AsAuthored), lit(Vec3::ZERO, Vec3::Y));
+}
+
+#[test]
+fn a_mirror_turned_diffuse_keeps_its_reflectance_as_albedo() {
+    let mirror = Material::Mirror { reflectance: Vec3::splat(0.3) };
+    let tracer = Tracer::new(&scene(vec![(floor(1.0, 0.0), mirror, None)], Vec3::ONE)).unwrap();
+    let image = render(&tracer.with_appearance(0, Appearance::Diffuse), &camera(Vec3::Y, Vec3::ZERO, 10.0, 4), &settings(4, 1));
+    assert!(image.radiance.planes[0].iter().all(|v| (v - 0.3).abs() < 1e-5));
+}
+
+#[test]
+fn a_mirror_reflects_the_sky_of_the_mirrored_direction() {
+    let mut scene = scene(vec![(floor(50.0, 0.0), Material::Mirror { reflectance: Vec3::splat(0.5) }, None)], Vec3::ZERO);
+    scene.environment = sky_map(64, 0.4, |column, row| Vec3::new(column as f32, row as f32, 1.0));
+    let view = camera(Vec3::new(0.0, 1.0, 0.0), Vec3::new(1.0, 0.0, 0.5), 1.0, 1);
+    let image = render(&Tracer::new(&scene).unwrap(), &view, &settings(1, 1));
+    let d = view.pixel_ray(0, 0).direction;
+    let expected = 0.5 * scene.environment.radiance(Vec3::new(d.x, -d.y, d.z));
+    // The sample lies up to half a degree off the pixel's centre: under a tenth of a texel of a map that rises by 1 a texel.
+    assert!((Vec3::from(image.radiance.rgb(0)) - expected).abs().max_element() < 0.1);
+}
+
+#[test]
+fn cube_maps_and_irradiance_never_see_the_one_mirror() {
+    let (tracer, _) = corner();
+    let diffuse = tracer.with_appearance(0, Appearance::Diffuse);
+    let mirror = tracer.with_appearance(0, Appearance::OneMirror { reflectance: Vec3::ONE });
+    let at = Vec3::new(0.2, 0.5, 0.1);
+    let cube = |t: &Tracer| t.cube_map(at, 8, &settings(4, 2), &Unattended).unwrap();
+    assert_eq!(cube(&diffuse), cube(&mirror));
+    assert_eq!(diffuse.irradiance(at, Vec3::Y, 16, &settings(1, 2)), mirror.irradiance(at, Vec3::Y, 16, &settings(1, 2)));
+}
+
+#[test]
+fn a_removed_object_neither_hides_nor_shines() {
+    let parts = vec![(floor(1.0, 1.0), diffuse(0.5), Some(Vec3::ONE)), (floor(1.0, 0.0), diffuse(0.5), None)];
+    let tracer = Tracer::new(&scene(parts, Vec3::splat(0.25))).unwrap();
+    let without = tracer.without_object(0);
+    assert!(tracer.occluded(Vec3::new(0.1, 0.5, 0.1), Vec3::new(0.1, 2.0, 0.1)));
+    assert!(!without.occluded(Vec3::new(0.1, 0.5, 0.1), Vec3::new(0.1, 2.0, 0.1)));
+    let up = crate::geometry::Ray { origin: Vec3::new(0.1, -1.0, 0.2), direction: Vec3::Y };
+    assert_eq!(without.intersect(&up, f32::INFINITY).map(|h| h.object), Some(1));
+    let lit = without.irradiance(Vec3::new(0.0, 0.1, 0.0), Vec3::Y, 16, &settings(1, 3)).x;
+    assert!((lit - 0.25 * PI).abs() < 1e-4);
+    // Nothing left: empty space.
+    assert_eq!(without.without_object(1).intersect(&up, f32::INFINITY), None);
+}

@@ -1,0 +1,253 @@
+//! Every sampler draws from the density that it states: chi-squared tests, and value = density where both are asked.
+
+use glam::{Vec2, Vec3};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg32;
+
+use super::*;
+use crate::directions::{direction_from_lat_long, lat_long_from_direction};
+use crate::raytrace::distribution::Discrete;
+use crate::raytrace::lights::Lights;
+use crate::raytrace::scattering::{Lobe, Scatterer};
+use crate::raytrace::sky::Sky;
+use crate::raytrace::{surfaces, warp};
+use crate::scenes::PointLight;
+
+const DRAWS: usize = 200_000;
+
+/// Chi-squared test of counts against expected counts. Cells with fewer than 5 expected are pooled. Fails beyond 4 standard
+/// deviations of the normal that Wilson & Hilferty's cube root makes of it: one false alarm in 30 000 seeds.
+fn assert_distributed(counts: &[u32], expected: &[f64], what: &str) {
+    let (mut statistic, mut cells) = (0.0, 0);
+    let mut pooled = (0.0, 0.0);
+    let mut add = |count: f64, expected: f64| {
+        statistic += (count - expected).powi(2) / expected;
+        cells += 1;
+    };
+    for (count, expected) in counts.iter().zip(expected) {
+        if *expected >= 5.0 { add(f64::from(*count), *expected) } else { pooled = (pooled.0 + f64::from(*count), pooled.1 + expected) }
+    }
+    if pooled.1 >= 5.0 {
+        add(pooled.0, pooled.1);
+    } else {
+        // A handful expected in all: six sigma of a Poisson variable of mean 5.
+        assert!(pooled.0 <= 5.0 + 6.0 * 5f64.sqrt(), "{what}: {} draws where {:.2} were expected", pooled.0, pooled.1);
+    }
+    let freedom = f64::from(cells - 1);
+    let spread = 2.0 / (9.0 * freedom);
+    let z = ((statistic / freedom).cbrt() - (1.0 - spread)) / spread.sqrt();
+    assert!(z < 4.0, "{what}: chi-squared {statistic:.1} with {freedom} degrees of freedom, z = {z:.2}");
+}
+
+fn pair(random: &mut Pcg32) -> Vec2 {
+    Vec2::new(random.random(), random.random())
+}
+
+// Cells of the sphere: longitude × polar angle.
+const COLUMNS: usize = 24;
+const ROWS: usize = 12;
+
+/// Draws of a direction, and the integral of its stated density, cell by cell over the sphere.
+fn assert_density_on_sphere(what: &str, mut sample: impl FnMut(Vec2) -> Option<(Vec3, f32)>, density: impl Fn(Vec3) -> f32) {
+    let mut random = Pcg32::seed_from_u64(17);
+    let mut counts = vec![0; COLUMNS * ROWS + 1];
+    for _ in 0..DRAWS {
+        let Some((direction, pdf)) = sample(pair(&mut random)) else {
+            counts[COLUMNS * ROWS] += 1;
+            continue;
+        };
+        assert!((direction.length() - 1.0).abs() < 1e-4, "{what}: {direction}");
+        let stated = density(direction);
+        assert!((pdf / stated - 1.0).abs() < 2e-2, "{what}: drawn with {pdf}, stated {stated} toward {direction}");
+        let at = lat_long_from_direction(direction);
+        let cell = |x: f32, count: usize| ((x * count as f32) as usize).min(count - 1);
+        counts[cell(at.y, ROWS) * COLUMNS + cell(at.x, COLUMNS)] += 1;
+    }
+    // Midpoint rule, fine enough that its error stays far below the counts' own noise.
+    const FINE: usize = 32;
+    let mut expected = vec![0.0; COLUMNS * ROWS];
+    for (cell, expected) in expected.iter_mut().enumerate() {
+        for k in 0..FINE * FINE {
+            let within = Vec2::new((k % FINE) as f32 + 0.5, (k / FINE) as f32 + 0.5) / FINE as f32;
+            let at = (Vec2::new((cell % COLUMNS) as f32, (cell / COLUMNS) as f32) + within) / Vec2::new(COLUMNS as f32, ROWS as f32);
+            let area = 2.0 * std::f64::consts::PI.powi(2) / (COLUMNS * ROWS * FINE * FINE) as f64;
+            *expected += DRAWS as f64 * area * f64::from((std::f32::consts::PI * at.y).sin() * density(direction_from_lat_long(at)));
+        }
+    }
+    // What the density leaves out is absorbed.
+    expected.push((DRAWS as f64 - expected.iter().sum::<f64>()).max(0.0));
+    assert_distributed(&counts, &expected, what);
+}
+
+#[test]
+fn the_sky_is_drawn_by_its_light() {
+    let mut random = Pcg32::seed_from_u64(5);
+    // 16 × 8 texels, a third of them black, a sun among them, turned.
+    let texels: Vec<f32> =
+        (0..128).map(|i| if i % 3 == 0 { 0.0 } else { random.random::<f32>() + if i == 37 { 20.0 } else { 0.0 } }).collect();
+    let environment = sky_map(16, 0.7, |column, row| Vec3::splat(texels[row * 16 + column]));
+    let Sky::Map(map) = Sky::new(&environment) else { panic!("a map") };
+    assert_density_on_sphere("sky", |u| map.sample(u).map(|s| (s.direction, s.pdf)), |d| map.eval(d).1);
+    for _ in 0..1000 {
+        let sample = map.sample(pair(&mut random)).unwrap();
+        let expected = environment.radiance(sample.direction);
+        // Sampled and looked-up positions differ by rounding: 1e-5 texels of a map that rises by 20 a texel.
+        assert!((sample.radiance - expected).length() < 1e-3 && (map.eval(sample.direction).0 - expected).length() < 1e-3);
+        assert!(sample.radiance.x / sample.pdf < 8.0 * map.power, "a bright place with a small density");
+    }
+}
+
+#[test]
+fn a_black_sky_is_never_drawn() {
+    let Sky::Map(map) = Sky::new(&sky_map(8, 0.0, |_, _| Vec3::ZERO)) else { panic!("a map") };
+    assert!(map.sample(Vec2::splat(0.5)).is_none());
+    assert_eq!(map.eval(Vec3::Y), (Vec3::ZERO, 0.0));
+}
+
+#[test]
+fn the_hemisphere_is_drawn_by_the_cosine() {
+    let density = |d: Vec3| d.z.max(0.0) / std::f32::consts::PI;
+    let sample = |u| {
+        let d = warp::cosine_hemisphere(u);
+        (d.z > 1e-3).then(|| (d, density(d)))
+    };
+    // The rim below 0.001 is left to the cell of the absorbed: it holds 1e-6 of the draws.
+    assert_density_on_sphere("cosine", sample, density);
+}
+
+#[test]
+fn reflected_directions_are_drawn_by_their_stated_density() {
+    for (alpha, tilt) in [(0.1f32, 0.3f32), (0.5, 1.2), (1.0, 0.0), (0.6, 1.5)] {
+        let normal = Vec3::new(0.36, 0.48, 0.8);
+        let side = Vec3::new(0.8, -0.6, 0.0);
+        let wo = tilt.cos() * normal + tilt.sin() * side;
+        for lobe in [Lobe::Ggx { alpha, reflectance: Vec3::ONE }, Lobe::Lambert(Vec3::splat(0.5))] {
+            let scatterer = Scatterer { geometric_normal: normal, shading_normal: normal, wo, lobe };
+            let sample = |u| scatterer.sample(u).map(|s| (s.wi, s.pdf.unwrap()));
+            assert_density_on_sphere(&format!("{lobe:?} at {tilt} rad"), sample, |d| scatterer.eval(d).1);
+        }
+    }
+}
+
+#[test]
+fn ggx_is_reciprocal_and_never_reflects_more_than_arrives() {
+    let mut random = Pcg32::seed_from_u64(8);
+    for alpha in [0.05, 0.3, 1.0] {
+        let lobe = Lobe::Ggx { alpha, reflectance: Vec3::ONE };
+        let toward = |wo| Scatterer { geometric_normal: Vec3::Z, shading_normal: Vec3::Z, wo, lobe };
+        for _ in 0..200 {
+            let (a, b) = (warp::cosine_hemisphere(pair(&mut random)), warp::cosine_hemisphere(pair(&mut random)));
+            // eval holds the cosine of its argument: divide it out.
+            let (ab, ba) = (toward(a).eval(b).0.x / b.z, toward(b).eval(a).0.x / a.z);
+            assert!((ab - ba).abs() <= 1e-3 * ab.max(ba), "{ab} and {ba}");
+            // With visible normals the weight is G₂/G₁ ≤ 1, so the albedo, its mean, is too.
+            let weight = toward(a).sample(pair(&mut random)).map_or(0.0, |s| s.weight.x);
+            assert!(weight <= 1.0 + 1e-4, "{weight}");
+        }
+    }
+}
+
+#[test]
+fn a_triangle_is_drawn_evenly() {
+    let mut random = Pcg32::seed_from_u64(9);
+    const EDGE: usize = 8;
+    let mut counts = vec![0; EDGE * EDGE];
+    for _ in 0..DRAWS {
+        let w = warp::triangle(pair(&mut random));
+        assert!(w.x >= 0.0 && w.y >= 0.0 && w.x + w.y <= 1.0 + 1e-6);
+        // EDGE² small triangles: in each square of the lattice a lower and an upper one; row r has 2(EDGE − r) − 1 of them.
+        let (x, y) = (w.x * EDGE as f32, w.y * EDGE as f32);
+        let (column, row) = ((x as usize).min(EDGE - 1), (y as usize).min(EDGE - 1));
+        let upper = x.fract() + y.fract() > 1.0 && column + row < EDGE - 1;
+        let first: usize = (0..row).map(|r| 2 * (EDGE - r) - 1).sum();
+        counts[(first + 2 * column + usize::from(upper)).min(EDGE * EDGE - 1)] += 1;
+    }
+    assert_distributed(&counts, &vec![DRAWS as f64 / (EDGE * EDGE) as f64; EDGE * EDGE], "triangle");
+}
+
+#[test]
+fn one_of_many_is_drawn_by_weight() {
+    let mut random = Pcg32::seed_from_u64(10);
+    let weights: Vec<f64> = (0..60).map(|i| if i % 4 == 1 { 0.0 } else { random.random::<f64>().powi(4) }).collect();
+    let choice = Discrete::new(&weights).unwrap();
+    let mut counts = vec![0; weights.len()];
+    (0..DRAWS).for_each(|_| counts[choice.choose(random.random()).0] += 1);
+    let total: f64 = weights.iter().sum();
+    assert_distributed(&counts, &weights.iter().map(|w| DRAWS as f64 * w / total).collect::<Vec<_>>(), "choice");
+}
+
+/// A sky, two area lights of different size and radiance, two point lights.
+fn many_lights() -> Scene {
+    let down = |half, y, x: f32| {
+        let mut mesh = floor(half, y);
+        mesh.normals.fill(Vec3::NEG_Y);
+        mesh.positions.iter_mut().for_each(|p| p.x += x);
+        mesh
+    };
+    let parts = vec![
+        (down(0.5, 2.0, -1.0), diffuse(0.0), Some(Vec3::splat(3.0))),
+        (down(0.2, 1.5, 1.0), diffuse(0.0), Some(Vec3::new(9.0, 5.0, 1.0))),
+        (floor(3.0, 0.0), diffuse(0.5), None),
+    ];
+    let mut scene = scene(parts, Vec3::ZERO);
+    scene.environment = sky_map(8, 0.0, |column, row| Vec3::splat((column + row) as f32 * 0.02));
+    scene.point_lights = [1.0, 3.0].map(|i| PointLight { position: Vec3::new(i, 2.0, -i), intensity: Vec3::splat(i) }).to_vec();
+    scene
+}
+
+#[test]
+fn lights_are_drawn_with_the_density_that_a_ray_hitting_them_is_weighted_with() {
+    let scene = many_lights();
+    let tracer = Tracer::new(&scene).unwrap();
+    let triangles = surfaces::flatten(&scene);
+    let lights = Lights::new(&scene, &triangles, 3.0 * 2f32.sqrt());
+    let from = Vec3::new(0.2, 0.1, 0.3);
+    let mut random = Pcg32::seed_from_u64(11);
+    let (mut sky, mut area, mut points) = (0, 0, 0);
+    for _ in 0..4000 {
+        let Some(light) = lights.sample(&triangles, from, random.random(), pair(&mut random)) else { continue };
+        let ray = crate::geometry::Ray { origin: from, direction: light.direction };
+        let (radiance, pdf) = match (light.pdf, light.end) {
+            (None, _) => {
+                points += 1;
+                continue;
+            }
+            (Some(_), None) => {
+                sky += 1;
+                lights.from_sky(light.direction)
+            }
+            (Some(_), Some(end)) => {
+                area += 1;
+                // The ray may pass the other light first: look just before the end.
+                let length = (end - from).length();
+                let start = from + 0.9 * length * light.direction;
+                let hit = tracer.intersect(&crate::geometry::Ray { origin: start, ..ray }, length).unwrap();
+                let first = scene.objects[..hit.object].iter().map(|o| o.mesh.triangles.len()).sum::<usize>();
+                lights.emitted(&triangles[first + hit.triangle], -light.direction, hit.distance + 0.9 * length)
+            }
+        };
+        let drawn = light.pdf.unwrap();
+        assert!((drawn / pdf - 1.0).abs() < 1e-2, "drawn with {drawn}, weighted with {pdf}");
+        assert!((light.radiance_over_pdf * drawn - radiance).length() < 1e-2 * radiance.length() + 1e-3);
+    }
+    assert!(sky > 300 && area > 300 && points > 300, "{sky} sky, {area} area, {points} points");
+}
+
+#[test]
+fn a_scene_of_many_lights_is_lit_by_the_sum_of_them() {
+    // All kinds at once against each alone: the choice among kinds must cancel out.
+    let all = many_lights();
+    let at = |scene: &Scene| Tracer::new(scene).unwrap().irradiance(Vec3::new(0.2, 0.0, 0.3), Vec3::Y, 1 << 14, &settings(1, 0));
+    let mut sky = all.clone();
+    sky.point_lights.clear();
+    sky.objects.iter_mut().for_each(|o| o.emission = None);
+    let mut area = all.clone();
+    area.point_lights.clear();
+    area.environment = Environment::Constant(Vec3::ZERO);
+    let mut points = all.clone();
+    points.environment = Environment::Constant(Vec3::ZERO);
+    points.objects.iter_mut().for_each(|o| o.emission = None);
+    let (whole, sum) = (at(&all), at(&sky) + at(&area) + at(&points));
+    // A sample of the whole spreads by no more than its mean / the smallest share 0.1, mostly far less: 2.5 % of it at 2¹⁴ samples.
+    assert!((whole / sum - 1.0).abs().max_element() < 0.025, "{whole}, {sum} expected");
+}

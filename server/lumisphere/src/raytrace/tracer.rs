@@ -1,0 +1,252 @@
+//! The tracer: a scene made ready for rays, and the questions about geometry.
+
+use std::sync::Arc;
+
+use glam::{Vec2, Vec3};
+use thiserror::Error;
+
+use super::bvh::Bvh;
+use super::lights::Lights;
+use super::low_discrepancy::SampleSequence;
+use super::path::{Look, PathTracer, World, even_directions};
+use super::render::TraceSettings;
+use super::surfaces::{self, Reflectance, SurfacePoint, SurfaceTriangle, TexelGrid};
+use super::traverse::Stack;
+use crate::geometry::Ray;
+use crate::scenes::{Albedo, Material, Scene};
+
+/// How one chosen object looks, whatever its material says.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Appearance {
+    /// Its own material.
+    AsAuthored,
+    /// Lambertian: its own albedo; for a mirror or GGX material, its reflectance.
+    Diffuse,
+    /// A camera ray that hits the object sees `reflectance` × the radiance of one mirror reflection over the scene in which the
+    /// object is `Diffuse`: what an offset surface light field should converge to. The reflection costs no bounce, so the
+    /// reflected ray sees what a cube map with the same settings holds. Cube maps, irradiance and all other rays see `Diffuse`.
+    OneMirror {
+        /// In [0, 1] per channel.
+        reflectance: Vec3,
+    },
+    /// A perfect mirror at every hit.
+    PhysicalMirror {
+        /// In [0, 1] per channel.
+        reflectance: Vec3,
+    },
+}
+
+/// A scene ready for rays. Cheap to clone, free of locks; keeps nothing borrowed from the scene.
+#[derive(Debug, Clone)]
+pub struct Tracer {
+    pub(super) world: Arc<World>,
+    pub(super) look: Arc<Look>,
+    authored: Arc<Vec<Reflectance>>,
+}
+
+/// Why a scene cannot be traced.
+#[derive(Debug, Clone, PartialEq, Eq, Error)]
+pub enum TraceError {
+    /// Nothing to hit.
+    #[error("scene has no triangles")]
+    Empty,
+    /// More triangles than the tree can name.
+    #[error("scene has {triangles} triangles, at most {limit} expected", limit = Tracer::MAX_TRIANGLES)]
+    TooManyTriangles {
+        /// How many it has.
+        triangles: usize,
+    },
+    /// An object names a material, or a material a texture, that is not there.
+    #[error("object \"{object}\" names a material or texture that the scene does not have")]
+    UnknownMaterial {
+        /// The object's name.
+        object: String,
+    },
+    /// A position, normal or texture coordinate is NaN or infinite, or an index names no vertex.
+    #[error("object \"{object}\" has a vertex that is not finite or an index beyond its vertices")]
+    BadMesh {
+        /// The object's name.
+        object: String,
+    },
+}
+
+/// Where a ray met a surface.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Hit {
+    /// From the ray's origin, in scene units.
+    pub distance: f32,
+    /// World space; closer to the surface than `ray.at(distance)`.
+    pub position: Vec3,
+    /// Unit, on the side that the shading normals point to (not turned toward the ray).
+    pub geometric_normal: Vec3,
+    /// Unit, interpolated, as stored (not turned toward the ray).
+    pub shading_normal: Vec3,
+    /// Texture coordinates; on a patch, its (u, v).
+    pub uv: Vec2,
+    /// Index into `Scene::objects`.
+    pub object: usize,
+    /// Index into that object's `mesh.triangles`.
+    pub triangle: usize,
+}
+
+impl Tracer {
+    /// Leaves are named by 31 bits, and splitting long triangles may multiply them.
+    pub const MAX_TRIANGLES: usize = 1 << 28;
+
+    /// Builds the tree and copies what shading needs. Deterministic.
+    pub fn new(scene: &Scene) -> Result<Self, TraceError> {
+        check(scene)?;
+        let reflectance: Vec<Reflectance> = scene.objects.iter().map(|o| Reflectance::new(&scene.materials[o.material])).collect();
+        let textures = scene.textures.iter().map(TexelGrid::new).collect();
+        let triangles = surfaces::flatten(scene);
+        let lights = Lights::new(scene, &triangles, bounding_radius(&triangles));
+        let world = World { bvh: build_tree(&triangles), extent: extent(&triangles), triangles, textures, lights };
+        let authored = Arc::new(reflectance);
+        Ok(Self { world: Arc::new(world), look: Arc::new(Look::authored(authored.to_vec())), authored })
+    }
+
+    /// The same scene with one object looking otherwise; other objects keep the look they have here. An object that the scene
+    /// does not have changes nothing. Shares everything large.
+    pub fn with_appearance(&self, object: usize, appearance: Appearance) -> Self {
+        let mut look = (*self.look).clone();
+        if let Some(authored) = self.authored.get(object).copied() {
+            look.mirrored_once[object] = None;
+            look.reflectance[object] = match appearance {
+                Appearance::AsAuthored => authored,
+                Appearance::Diffuse => authored.diffuse(),
+                Appearance::OneMirror { reflectance } => {
+                    look.mirrored_once[object] = Some(reflectance);
+                    authored.diffuse()
+                }
+                Appearance::PhysicalMirror { reflectance } => Reflectance::Mirror(reflectance),
+            };
+        }
+        Self { world: self.world.clone(), look: Arc::new(look), authored: self.authored.clone() }
+    }
+
+    /// The same scene without one object's surface and emission; indices of the others stay. Builds a new tree. A scene whose
+    /// only object is removed is empty space under its sky and point lights.
+    pub fn without_object(&self, object: usize) -> Self {
+        let triangles: Vec<SurfaceTriangle> = self.world.triangles.iter().filter(|t| t.object as usize != object).cloned().collect();
+        let lights = self.world.lights.for_triangles(&triangles, bounding_radius(&triangles));
+        let world =
+            World { bvh: build_tree(&triangles), extent: extent(&triangles), triangles, textures: self.world.textures.clone(), lights };
+        Self { world: Arc::new(world), look: self.look.clone(), authored: self.authored.clone() }
+    }
+
+    /// Nearest surface in (0, `t_max`) along the ray.
+    pub fn intersect(&self, ray: &Ray, t_max: f32) -> Option<Hit> {
+        let mut stack = Stack::new();
+        let hit = self.world.bvh.nearest(ray.origin, ray.direction, t_max, &mut stack)?;
+        Some(Hit::new(SurfacePoint::new(&self.world.triangles, hit)))
+    }
+
+    /// Whether any surface crosses the open segment from `a` to `b`. Points on a surface must be moved off it by the caller.
+    pub fn occluded(&self, a: Vec3, b: Vec3) -> bool {
+        self.world.bvh.any(a, b - a, 1.0, &mut Stack::new())
+    }
+
+    /// Whether a point lies inside a body: around which one object's surface winds more than `INSIDE_WINDING` times (generalised
+    /// winding number, Jacobson et al. 2013, along evenly spread directions). Holes are forgiven (an open pot, intersecting
+    /// patches), single sheets have no inside, and normals must point outward. A sample point inside sees only the back of things.
+    pub fn is_inside_geometry(&self, point: Vec3) -> bool {
+        self.winding_numbers(point).iter().any(|w| *w > INSIDE_WINDING)
+    }
+
+    /// How often each object winds around a point: 1 inside a closed surface with outward normals, 0 outside, in between near
+    /// open ones, −1 inside one with inward normals.
+    fn winding_numbers(&self, point: Vec3) -> Vec<f32> {
+        let mut stack = Stack::new();
+        let mut crossings = vec![0i32; self.authored.len()];
+        for direction in even_directions(WINDING_DIRECTIONS) {
+            for triangle in self.world.bvh.every(point, direction, &mut stack) {
+                let triangle = &self.world.triangles[triangle as usize];
+                // Leaving through a front face counts up, entering counts down.
+                crossings[triangle.object as usize] += if triangle.front.dot(direction) > 0.0 { 1 } else { -1 };
+            }
+        }
+        crossings.iter().map(|c| *c as f32 / WINDING_DIRECTIONS as f32).collect()
+    }
+
+    /// Irradiance on one side of a surface element: at `point`, from the half space of `normal` (unit). Mean of `samples` paths
+    /// (at least one); `settings.samples_per_pixel` is not used. Holds emitters seen directly and light of up to
+    /// `settings.max_bounces` reflections. `point` may lie on a surface: paths start off it by the rounding error of the scene's coordinates.
+    pub fn irradiance(&self, point: Vec3, normal: Vec3, samples: u32, settings: &TraceSettings) -> Vec3 {
+        let mut paths = self.paths(settings.max_bounces);
+        let position = point + surfaces::rounding_at(point, self.world.extent) * normal;
+        // The place itself seeds the numbers: neighbours of a bake get different ones in any order.
+        let place = point.to_array().iter().fold(0u64, |h, c| h.rotate_left(21) ^ u64::from(c.to_bits()));
+        let samples = samples.max(1);
+        let sum: Vec3 = (0..samples).map(|s| paths.irradiance(position, normal, &mut SampleSequence::new(settings.seed, place, s))).sum();
+        sum / samples as f32
+    }
+
+    pub(super) fn paths(&self, max_bounces: u32) -> PathTracer<'_> {
+        PathTracer { world: &self.world, look: &self.look, max_bounces, stack: Stack::new() }
+    }
+}
+
+/// Directions of the winding number: its error at an open surface is then about 0.02.
+const WINDING_DIRECTIONS: u32 = 128;
+
+// ½ is the value just below an endless open floor; an open pot winds 0.8 around its inside.
+const INSIDE_WINDING: f32 = 0.6;
+
+impl Hit {
+    fn new(point: SurfacePoint) -> Self {
+        let SurfacePoint { triangle, u, v, distance } = point;
+        Self {
+            distance,
+            position: triangle.position(u, v),
+            geometric_normal: triangle.front,
+            shading_normal: triangle.shading_normal(u, v),
+            uv: triangle.uv(u, v),
+            object: triangle.object as usize,
+            triangle: triangle.triangle as usize,
+        }
+    }
+}
+
+fn build_tree(triangles: &[SurfaceTriangle]) -> Bvh {
+    let corners: Vec<[Vec3; 3]> = triangles.iter().map(|t| t.corners).collect();
+    Bvh::build(&corners)
+}
+
+/// Half the diagonal of the geometry's bounding box.
+fn bounding_radius(triangles: &[SurfaceTriangle]) -> f32 {
+    let corners = triangles.iter().flat_map(|t| t.corners);
+    let (low, high) = corners.fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(low, high), p| (low.min(p), high.max(p)));
+    if triangles.is_empty() { 0.0 } else { 0.5 * (high - low).length() }
+}
+
+/// Largest absolute coordinate.
+fn extent(triangles: &[SurfaceTriangle]) -> f32 {
+    triangles.iter().flat_map(|t| t.corners).fold(0f32, |m, p| m.max(p.abs().max_element()))
+}
+
+/// Loaders promise a valid scene; one built by hand may not be.
+fn check(scene: &Scene) -> Result<(), TraceError> {
+    let triangles: usize = scene.objects.iter().map(|o| o.mesh.triangles.len()).sum();
+    if triangles == 0 {
+        return Err(TraceError::Empty);
+    }
+    if triangles > Tracer::MAX_TRIANGLES {
+        return Err(TraceError::TooManyTriangles { triangles });
+    }
+    for object in &scene.objects {
+        let texture_known = match scene.materials.get(object.material) {
+            Some(Material::Diffuse { albedo: Albedo::Texture(texture) }) => *texture < scene.textures.len(),
+            material => material.is_some(),
+        };
+        if !texture_known {
+            return Err(TraceError::UnknownMaterial { object: object.name.clone() });
+        }
+        let mesh = &object.mesh;
+        let count = mesh.positions.len().min(mesh.normals.len()).min(mesh.uvs.len());
+        let finite = mesh.positions.iter().chain(&mesh.normals).all(|v| v.is_finite()) && mesh.uvs.iter().all(|v| v.is_finite());
+        if !finite || mesh.triangles.iter().flatten().any(|i| *i as usize >= count) {
+            return Err(TraceError::BadMesh { object: object.name.clone() });
+        }
+    }
+    Ok(())
+}
