@@ -104,7 +104,7 @@ impl Lights {
     }
 
     /// Radiance from infinity and the density with which `sample` draws that direction.
-    pub fn from_sky(&self, direction: Vec3) -> (Vec3, f32) {
+    pub fn sky_radiance(&self, direction: Vec3) -> (Vec3, f32) {
         let (radiance, pdf) = self.sky.eval(direction);
         (radiance, pdf * self.kind.as_ref().map_or(0.0, |k| k.probability(SKY)))
     }

@@ -85,7 +85,7 @@ mod tests {
                 let points: Vec<Vec2> = (0..16)
                     .map(|sample| {
                         let mut sequence = SampleSequence::new(7, pixel, sample);
-                        (0..pair).for_each(|_| drop(sequence.pair()));
+                        (0..pair).for_each(|_| _ = sequence.pair());
                         sequence.pair()
                     })
                     .collect();
@@ -104,16 +104,13 @@ mod tests {
     fn pixels_pairs_and_seeds_are_uncorrelated() {
         let first = |seed, pixel, pair| {
             let mut sequence = SampleSequence::new(seed, pixel, 0);
-            (0..pair).for_each(|_| drop(sequence.pair()));
+            (0..pair).for_each(|_| _ = sequence.pair());
             sequence.pair() - 0.5
         };
         let n = 20_000u64;
-        let others: [fn(u64) -> (u64, u64, u32); 3] = [|p| (1, p + 1, 0), |p| (1, p, 1), |p| (2, p, 0)];
-        for other in others {
-            let products = (0..n).map(|p| {
-                let (seed, pixel, pair) = other(p);
-                first(1, p, 0) * first(seed, pixel, pair)
-            });
+        // The next pixel, the next pair, the next seed.
+        for (seed, pixel_step, pair) in [(1, 1, 0), (1, 0, 1), (2, 0, 0)] {
+            let products = (0..n).map(|p| first(1, p, 0) * first(seed, p + pixel_step, pair));
             let mean = products.fold(Vec2::ZERO, |sum, p| sum + p) / n as f32;
             // The product of two independent uniforms of variance 1/12 has standard deviation 1/12: 4.5 σ of the mean.
             let bound = 4.5 / 12.0 / (n as f32).sqrt();

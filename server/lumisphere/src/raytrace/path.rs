@@ -103,7 +103,7 @@ impl<'a> PathTracer<'a> {
                 return radiance + self.unoccluded_sky(&ray);
             }
             let Some(point) = self.nearest(ray.origin, ray.direction) else {
-                let (sky, pdf) = self.world.lights.from_sky(ray.direction);
+                let (sky, pdf) = self.world.lights.sky_radiance(ray.direction);
                 return radiance + ray.throughput * sky * weight_against_light(ray.pdf, pdf);
             };
             let (emitted, pdf) = self.world.lights.emitted(point.triangle, -ray.direction, point.distance);
@@ -151,7 +151,7 @@ impl<'a> PathTracer<'a> {
 
     /// The last segment of a path where only the sky emits: no need to know what is hit.
     fn unoccluded_sky(&mut self, ray: &Segment) -> Vec3 {
-        let (sky, pdf) = self.world.lights.from_sky(ray.direction);
+        let (sky, pdf) = self.world.lights.sky_radiance(ray.direction);
         let arriving = ray.throughput * sky * weight_against_light(ray.pdf, pdf);
         if arriving == Vec3::ZERO || self.blocked(ray.origin, ray.direction, None) { Vec3::ZERO } else { arriving }
     }

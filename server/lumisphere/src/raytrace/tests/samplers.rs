@@ -214,7 +214,7 @@ fn lights_are_drawn_with_the_density_that_a_ray_hitting_them_is_weighted_with() 
             }
             (Some(_), None) => {
                 sky += 1;
-                lights.from_sky(light.direction)
+                lights.sky_radiance(light.direction)
             }
             (Some(_), Some(end)) => {
                 area += 1;
