@@ -1,19 +1,24 @@
 //! What PNG and JPEG have in common: decoding to codes within limits, and from sRGB codes to linear planes.
 
+use std::io::Cursor;
+
 use image::{ColorType, DynamicImage, ImageDecoder, ImageResult};
 
+use super::read::check_expansion;
 use super::{Format, Image, ImageError, ReadLimits, Rgb8};
 use crate::radiometry::color::{linear_from_srgb, linear_from_srgb8};
 
 /// Decodes after checking the announced size.
-pub(super) fn decode_codes(
+pub(super) fn decode_codes<'a, D: ImageDecoder>(
     format: Format,
-    decoder: ImageResult<impl ImageDecoder>,
+    bytes: &'a [u8],
+    decoder: impl FnOnce(Cursor<&'a [u8]>) -> ImageResult<D>,
     limits: ReadLimits,
 ) -> Result<DynamicImage, ImageError> {
-    let mut decoder = decoder.map_err(|error| decode_error(format, error))?;
+    let mut decoder = decoder(Cursor::new(bytes)).map_err(|error| decode_error(format, error))?;
     let (width, height) = decoder.dimensions();
     limits.check_size(width as usize, height as usize, usize::from(decoder.color_type().channel_count()))?;
+    check_expansion(format, usize::try_from(decoder.total_bytes()).unwrap_or(usize::MAX), bytes.len())?;
     // Working memory beyond the image itself: rows, Huffman tables, ICC profiles and text chunks.
     let mut foreign = image::Limits::no_limits();
     foreign.max_alloc = Some(decoder.total_bytes().saturating_add(64 << 20));

@@ -12,6 +12,7 @@ use ::exr::prelude as foreign;
 use foreign::{ReadChannels as _, ReadLayers as _, WritableImage as _};
 use half::f16;
 
+use super::read::check_expansion;
 use super::{Format, Image, ImageError, ReadLimits};
 
 /// Everything an EXR file holds, widened to f32.
@@ -155,10 +156,11 @@ pub fn encode_exr_rgb(image: &Image, storage: ExrStorage) -> Result<Vec<u8>, Ima
     encode_exr(&ExrImage { layers: vec![layer] }, ExrCompression::Zip)
 }
 
-/// Refuses, before the pixels' memory is taken, headers that announce more than the limit or more blocks than the file has room for.
+/// Refuses, before the pixels' memory is taken, headers that announce more than the limit or than so short a file can hold.
 fn check_header(bytes: &[u8], limits: ReadLimits) -> Result<(), ImageError> {
     let meta = foreign::MetaData::read_from_buffered(Cursor::new(bytes), false).map_err(decode_error)?;
     let mut samples_left = limits;
+    let mut decoded_bytes = 0;
     for header in &meta.headers {
         let (width, height, channels) = (header.layer_size.width(), header.layer_size.height(), header.channels.list.len());
         samples_left.check_size(width, height, channels).map_err(|_| ImageError::TooLarge {
@@ -168,7 +170,11 @@ fn check_header(bytes: &[u8], limits: ReadLimits) -> Result<(), ImageError> {
             max_samples: limits.max_samples,
         })?;
         samples_left.max_samples -= width * height * channels;
-        check_blocks(header, bytes.len(), limits)?;
+        decoded_bytes += width * height * header.channels.bytes_per_pixel;
+        // A block is decoded through a buffer of its full size, which for tiles is the file's choice.
+        if let ::exr::meta::BlockDescription::Tiles(tiles) = header.blocks {
+            limits.check_size(tiles.tile_size.width(), tiles.tile_size.height(), channels)?;
+        }
         if header.deep {
             return Err(ImageError::Unsupported { format: Format::Exr, feature: "deep data".into() });
         }
@@ -176,19 +182,7 @@ fn check_header(bytes: &[u8], limits: ReadLimits) -> Result<(), ImageError> {
             return Err(ImageError::Unsupported { format: Format::Exr, feature: format!("subsampled channel {}", channel.name) });
         }
     }
-    Ok(())
-}
-
-/// Every block costs at least its entry of 8 bytes in the offset table, and is decoded through a buffer of its full size.
-fn check_blocks(header: &::exr::meta::header::Header, file_bytes: usize, limits: ReadLimits) -> Result<(), ImageError> {
-    if header.chunk_count > file_bytes / 8 {
-        let reason = format!("announces {} blocks in a file of {file_bytes} bytes", header.chunk_count);
-        return Err(ImageError::Malformed { format: Format::Exr, reason });
-    }
-    if let ::exr::meta::BlockDescription::Tiles(tiles) = header.blocks {
-        limits.check_size(tiles.tile_size.width(), tiles.tile_size.height(), header.channels.list.len())?;
-    }
-    Ok(())
+    check_expansion(Format::Exr, decoded_bytes, bytes.len())
 }
 
 fn widen_layer(layer: foreign::Layer<foreign::AnyChannels<foreign::FlatSamples>>, limits: ReadLimits) -> Result<ExrLayer, ImageError> {

@@ -259,6 +259,53 @@ fn an_exr_data_window_of_two_to_the_thirty_is_refused() {
     }
 }
 
+/// The CRC-32 that closes each chunk of a PNG.
+fn png_crc(bytes: &[u8]) -> u32 {
+    let step = |crc: u32| if crc & 1 == 1 { crc >> 1 ^ 0xedb8_8320 } else { crc >> 1 };
+    !bytes.iter().fold(u32::MAX, |crc, &byte| (0..8).fold(crc ^ u32::from(byte), |crc, _| step(crc)))
+}
+
+#[test]
+fn a_size_within_limits_that_so_short_a_file_cannot_hold_is_refused() {
+    let refused = |bytes: &[u8]| {
+        let message = decode_image(bytes, LIMITS).unwrap_err().to_string();
+        assert!(message.contains("bytes of pixels in a file of"), "{message}");
+    };
+    let mut exr = encode_exr_rgb(&gradient(4, 4, 3), ExrStorage::Half).unwrap();
+    let name = b"dataWindow\0box2i\0";
+    let window = exr.windows(name.len()).position(|window| window == name).unwrap() + name.len() + 4;
+    exr[window + 8..window + 12].copy_from_slice(&29_999i32.to_le_bytes());
+    exr[window + 12..window + 16].copy_from_slice(&999i32.to_le_bytes());
+    refused(&exr);
+
+    // Signature 8, length 4, "IHDR" 4, width 4, height 4, five more bytes, CRC.
+    let mut png = encode_png(&checker(4, 4)).unwrap();
+    png[16..20].copy_from_slice(&6_000u32.to_be_bytes());
+    png[20..24].copy_from_slice(&6_000u32.to_be_bytes());
+    let crc = png_crc(&png[12..29]);
+    png[29..33].copy_from_slice(&crc.to_be_bytes());
+    refused(&png);
+
+    // Frame header: marker 2, length 2, precision 1, height 2, width 2.
+    let mut jpeg = encode_jpeg(&checker(4, 4), JpegQuality::STREAM).unwrap();
+    let frame = jpeg.windows(2).position(|pair| pair == [0xff, 0xc0]).unwrap();
+    jpeg[frame + 5..frame + 9].copy_from_slice(&[0x20, 0, 0x10, 0]);
+    refused(&jpeg);
+}
+
+#[test]
+fn black_images_which_compress_best_are_not_taken_for_lies() {
+    let black = Image::zeros(1024, 1024, 3);
+    for compression in [ExrCompression::Zip, ExrCompression::Piz] {
+        let layer = ExrLayer::from_planes(black.clone(), &["R", "G", "B"], ExrStorage::Float).unwrap();
+        let bytes = encode_exr(&ExrImage { layers: vec![layer] }, compression).unwrap();
+        assert_eq!(decode_image(&bytes, LIMITS).unwrap(), black, "{compression:?}");
+    }
+    let codes = Rgb8::filled(2048, 2048, [0; 3]);
+    assert_eq!(decode_png_codes(&encode_png(&codes).unwrap(), LIMITS).unwrap(), codes);
+    assert_eq!(decode_jpeg_codes(&encode_jpeg(&codes, JpegQuality::STREAM).unwrap(), LIMITS).unwrap(), codes);
+}
+
 #[test]
 fn nan_is_refused_by_name_and_place_or_kept_on_request() {
     let mut image = gradient(5, 4, 3);

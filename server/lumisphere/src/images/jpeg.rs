@@ -36,13 +36,13 @@ pub fn encode_jpeg(image: &Rgb8, quality: JpegQuality) -> Result<Vec<u8>, ImageE
 /// Linear planes R G B; the file is taken as sRGB. The EXIF orientation is not applied.
 pub fn decode_jpeg(bytes: &[u8], limits: ReadLimits) -> Result<Image, ImageError> {
     check_end(bytes)?;
-    linear_planes(decode_codes(Format::Jpeg, JpegDecoder::new(std::io::Cursor::new(bytes)), limits)?)
+    linear_planes(decode_codes(Format::Jpeg, bytes, JpegDecoder::new, limits)?)
 }
 
 /// The codes as they are in the file: for photographs whose transfer curve is not sRGB.
 pub fn decode_jpeg_codes(bytes: &[u8], limits: ReadLimits) -> Result<Rgb8, ImageError> {
     check_end(bytes)?;
-    Ok(rgb8(decode_codes(Format::Jpeg, JpegDecoder::new(std::io::Cursor::new(bytes)), limits)?))
+    Ok(rgb8(decode_codes(Format::Jpeg, bytes, JpegDecoder::new, limits)?))
 }
 
 /// The decoder fills what is missing with grey and calls it a success, so a cut file is told by its missing end marker: in entropy-coded

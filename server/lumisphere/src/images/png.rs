@@ -24,10 +24,10 @@ pub fn encode_png(image: &Rgb8) -> Result<Vec<u8>, ImageError> {
 
 /// Linear planes R G B, and A where the file has alpha (unassociated); the file is taken as sRGB.
 pub fn decode_png(bytes: &[u8], limits: ReadLimits) -> Result<Image, ImageError> {
-    linear_planes(decode_codes(Format::Png, PngDecoder::new(std::io::Cursor::new(bytes)), limits)?)
+    linear_planes(decode_codes(Format::Png, bytes, PngDecoder::new, limits)?)
 }
 
 /// The codes as they are in the file, 16-bit ones rounded to 8, alpha dropped: for photographs whose transfer curve is not sRGB.
 pub fn decode_png_codes(bytes: &[u8], limits: ReadLimits) -> Result<Rgb8, ImageError> {
-    Ok(rgb8(decode_codes(Format::Png, PngDecoder::new(std::io::Cursor::new(bytes)), limits)?))
+    Ok(rgb8(decode_codes(Format::Png, bytes, PngDecoder::new, limits)?))
 }

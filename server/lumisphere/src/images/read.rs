@@ -83,3 +83,15 @@ impl ReadLimits {
         }
     }
 }
+
+/// No format decodes a byte into more than about 1400: deflate (PNG, EXR's ZIP and PXR24) reaches 1032, JPEG with the coarsest chroma 1365, EXR's
+/// other schemes some hundreds.
+const MAX_EXPANSION: usize = 2048;
+
+/// Fails where so short a file cannot hold so much: its header lies, or it is cut off.
+pub(super) fn check_expansion(format: Format, decoded_bytes: usize, file_bytes: usize) -> Result<(), ImageError> {
+    if decoded_bytes / MAX_EXPANSION <= file_bytes {
+        return Ok(());
+    }
+    Err(ImageError::Malformed { format, reason: format!("announces {decoded_bytes} bytes of pixels in a file of {file_bytes}") })
+}
