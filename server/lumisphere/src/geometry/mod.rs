@@ -4,6 +4,7 @@ mod bezier_patch;
 mod camera;
 mod pose;
 mod ray;
+mod subdivision;
 mod tangent_frame;
 mod triangle_mesh;
 
@@ -11,5 +12,6 @@ pub use bezier_patch::{BezierPatch, PatchPoint};
 pub use camera::{Camera, CameraError, Intrinsics};
 pub use pose::{Pose, PoseError};
 pub use ray::Ray;
+pub use subdivision::subdivide;
 pub use tangent_frame::TangentFrame;
 pub use triangle_mesh::{MeshError, TriangleMesh};

@@ -33,3 +33,24 @@ pub enum Settings {
     /// Component, blend and specular reflectance.
     OffsetSurfaceLightField(oslf::Settings),
 }
+
+impl Settings {
+    /// Names of component and blend, and the blend's exponent; no blend where nothing is reflected.
+    pub fn names(&self) -> (&'static str, Option<&'static str>, Option<f32>) {
+        match self {
+            Self::OffsetSurfaceLightField(s) if s.component == oslf::Component::Reconstruction => (s.component.name(), None, None),
+            Self::OffsetSurfaceLightField(s) => (s.component.name(), Some(s.blend.name()), s.blend.exponent()),
+        }
+    }
+
+    /// Reflectance of the reflected part, and whether the diffuse part is shown too; None where nothing is reflected.
+    pub fn reflection(&self) -> Option<(glam::Vec3, bool)> {
+        match self {
+            Self::OffsetSurfaceLightField(s) => match s.component {
+                oslf::Component::Reconstruction => None,
+                oslf::Component::Mirror => Some((s.specular_reflectance, false)),
+                oslf::Component::Full => Some((s.specular_reflectance, true)),
+            },
+        }
+    }
+}

@@ -1,334 +1,190 @@
-//! From a surface to sample points, and from sample points to sample maps. Geometry only; the capture takes the light.
+//! From a scene to a stored offset surface light field: place, trace, map, bake.
 
-use std::cmp::Ordering;
-use std::collections::HashMap;
-
-use glam::{IVec3, Vec2, Vec3};
-use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
+use glam::Vec3;
 use thiserror::Error;
 
-use super::{CONSTRUCTION_HORIZON_DEG, NO_SAMPLE, SampleMaps, SamplePoint, SurfaceMesh};
+use super::sample_points::{PlacementError, Spacing, build_sample_maps, place_sample_points};
+use super::{NO_SAMPLE, OffsetSurfaceLightField, Parameters, PartsError, SamplePoint, SurfaceMesh, to_parts};
+use crate::capture::{CaptureError, Viewpoint, bake_background, trace_cube_maps};
+use crate::progress::{Cancelled, Progress};
+use crate::raytrace::{Appearance, TraceError, TraceSettings, Tracer};
+use crate::scenes::{Object, Scene, Surface};
+use crate::textures::{PixelFormat, Staging, StoreError};
 
-/// How far apart sample points lie.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Spacing {
-    /// No two points on the same side of the surface closer than this, in the scene's unit; none missing where one would fit.
-    Distance(f32),
-    /// About this many points (within a few percent before points inside geometry are dropped).
-    Count(u32),
+/// What to capture and how. Lengths are in the scene's unit.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ConstructSettings {
+    /// Name of the object.
+    pub object: String,
+    /// Distance of the sample points from the surface; None: 0.02 × the radius of the object's bounding sphere.
+    pub epsilon: Option<f32>,
+    /// How densely sample points lie.
+    pub spacing: Spacing,
+    /// Texels along a cube-map face.
+    pub face_size_texels: u32,
+    /// Texels along a sample map.
+    pub sample_map_size_texels: u32,
+    /// How pages hold numbers.
+    pub pixel_format: PixelFormat,
+    /// Paths per texel.
+    pub samples_per_texel: u32,
+    /// 1 = direct light only.
+    pub max_bounces: u32,
+    /// Of the random numbers.
+    pub seed: u64,
 }
 
-/// Why no sample points could be placed.
-#[derive(Debug, Clone, PartialEq, Error)]
+/// Why no light field came of it.
+#[derive(Debug, Error)]
 pub enum ConstructError {
-    /// Spacing not above zero.
-    #[error("spacing is {0:?}, a finite distance above zero or a count of at least 4 expected")]
-    BadSpacing(Spacing),
-    /// More points than 16-bit indices can name.
-    #[error("spacing {spacing} on a surface of area {area} would need about {points} sample points, at most {limit} can be indexed", limit = NO_SAMPLE - 1)]
-    TooMany {
-        /// As given or derived.
-        spacing: f32,
-        /// Of the object's mesh.
-        area: f32,
-        /// Estimate.
-        points: u64,
+    /// The scene has no object of that name.
+    #[error("scene has no object {object:?}; it has {}", known.join(", "))]
+    UnknownObject {
+        /// As given.
+        object: String,
+        /// What there is.
+        known: Vec<String>,
     },
+    /// A setting out of range.
+    #[error("{setting} is {value}, {expected} expected")]
+    Setting {
+        /// Which.
+        setting: &'static str,
+        /// As given.
+        value: String,
+        /// What would do.
+        expected: &'static str,
+    },
+    /// No points could be placed.
+    #[error(transparent)]
+    Placement(#[from] PlacementError),
+    /// All points lie inside geometry.
+    #[error("all {0} sample points lie inside other geometry; a smaller epsilon or another object may help")]
+    AllInside(usize),
+    /// The scene cannot be traced.
+    #[error(transparent)]
+    Trace(#[from] TraceError),
+    /// Asked to stop; can be resumed.
+    #[error(transparent)]
+    Cancelled(#[from] Cancelled),
+    /// The store refused.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// A part cannot be encoded.
+    #[error(transparent)]
+    Parts(#[from] PartsError),
 }
 
-// Candidates a disc of the spacing's radius: with sixteen, gaps that would take another point are rare.
-const CANDIDATES_PER_POINT: f32 = 24.0;
-// Random discs of minimum distance d cover the plane at about 0.7 points per d² (maximal Poisson-disc sets).
-const POINTS_PER_SQUARE_SPACING: f32 = 0.7;
-
-/// Surface points (not yet offset) and their normals at the spacing asked for, by dart throwing in a fixed low-discrepancy order.
-///
-/// Points on opposite sides of a thin wall do not keep each other away. The same mesh and spacing give the same points.
-pub fn place_sample_points(surface: &SurfaceMesh, spacing: Spacing) -> Result<Vec<SamplePoint>, ConstructError> {
-    let area: f32 = (0..surface.mesh.triangles.len()).map(|t| surface.mesh.area_vector(t).length()).sum();
-    match spacing {
-        Spacing::Distance(distance) if distance > 0.0 && distance.is_finite() => throw_darts(surface, area, distance),
-        Spacing::Count(count) if count >= 4 => {
-            // The count falls as the spacing grows: bisect on the spacing, 12 halvings of a factor of four.
-            let guess = (area * POINTS_PER_SQUARE_SPACING / count as f32).sqrt();
-            let (mut low, mut high) = (0.5 * guess, 2.0 * guess);
-            let mut best = throw_darts(surface, area, guess)?;
-            for _ in 0..12 {
-                let middle = (low * high).sqrt();
-                let points = throw_darts(surface, area, middle)?;
-                let closer = |n: usize| n.abs_diff(count as usize);
-                if points.len() > count as usize {
-                    low = middle;
-                } else {
-                    high = middle;
-                }
-                if closer(points.len()) < closer(best.len()) {
-                    best = points;
-                }
-                if best.len() == count as usize {
-                    break;
-                }
-            }
-            Ok(best)
-        }
-        _ => Err(ConstructError::BadSpacing(spacing)),
-    }
-}
-
-fn throw_darts(surface: &SurfaceMesh, area: f32, spacing: f32) -> Result<Vec<SamplePoint>, ConstructError> {
-    let expected = area * POINTS_PER_SQUARE_SPACING / (spacing * spacing);
-    if !(expected < f32::from(NO_SAMPLE - 1)) {
-        return Err(ConstructError::TooMany { spacing, area, points: expected as u64 });
-    }
-    let mesh = &surface.mesh;
-    let mut cumulative_area = Vec::with_capacity(mesh.triangles.len());
-    let mut sum = 0f64;
-    for t in 0..mesh.triangles.len() {
-        sum += f64::from(mesh.area_vector(t).length());
-        cumulative_area.push(sum);
-    }
-    let candidates = (CANDIDATES_PER_POINT * expected).ceil().max(64.0) as u64;
-    let mut points: Vec<SamplePoint> = Vec::new();
-    let mut grid: HashMap<IVec3, Vec<u32>> = HashMap::new();
-    for i in 0..candidates {
-        let candidate = candidate(surface, &cumulative_area, i);
-        let cell = (candidate.position / spacing).floor().as_ivec3();
-        let crowded = neighbours(cell).filter_map(|c| grid.get(&c)).flatten().any(|j| {
-            let other = &points[*j as usize];
-            other.position.distance(candidate.position) < spacing && other.normal.dot(candidate.normal) > 0.0
-        });
-        if !crowded && points.len() < usize::from(NO_SAMPLE - 1) {
-            grid.entry(cell).or_default().push(points.len() as u32);
-            points.push(candidate);
+impl From<CaptureError> for ConstructError {
+    fn from(error: CaptureError) -> Self {
+        match error {
+            CaptureError::Cancelled(c) => Self::Cancelled(c),
+            CaptureError::Store(s) => Self::Store(s),
         }
     }
-    Ok(points)
 }
 
-fn neighbours(cell: IVec3) -> impl Iterator<Item = IVec3> {
-    (0..27).map(move |k| cell + IVec3::new(k % 3 - 1, k / 3 % 3 - 1, k / 9 - 1))
+// ε as a fraction of the object's bounding radius where none is given; the source's 0.1 on a teapot of radius about 3.
+const DEFAULT_EPSILON_PER_RADIUS: f32 = 0.02;
+// Paths a side of a background vertex.
+const BACKGROUND_SAMPLES: u32 = 64;
+
+/// Fills `staging` with pages and parts of the object's light field; the caller publishes. Can be called again on a staging area
+/// that an earlier, identical call left unfinished: cube maps already there are kept.
+pub fn construct(
+    scene: &Scene,
+    settings: &ConstructSettings,
+    staging: &Staging,
+    progress: &dyn Progress,
+) -> Result<Parameters, ConstructError> {
+    let index = scene.object(&settings.object).ok_or_else(|| ConstructError::UnknownObject {
+        object: settings.object.clone(),
+        known: scene.objects.iter().map(|o| o.name.clone()).collect(),
+    })?;
+    let object = &scene.objects[index];
+    let (low, high) = object.mesh.bounds();
+    let (center, radius) = (0.5 * (low + high), 0.5 * (high - low).length());
+    let epsilon = settings.epsilon.unwrap_or(DEFAULT_EPSILON_PER_RADIUS * radius);
+    check(settings, epsilon)?;
+
+    progress.report("placing sample points", 0, 1);
+    let surface = surface_mesh(object);
+    let tracer = Tracer::new(scene)?.with_appearance(index, Appearance::Diffuse);
+    let placed = place_sample_points(&surface, settings.spacing)?;
+    let sample_points = offset_points(&placed, epsilon, &tracer);
+    if sample_points.is_empty() {
+        return Err(ConstructError::AllInside(placed.len()));
+    }
+    progress.report("placing sample points", 1, 1);
+
+    let trace = TraceSettings { samples_per_pixel: settings.samples_per_texel, max_bounces: settings.max_bounces, seed: settings.seed };
+    let without_object = tracer.without_object(index);
+    let mut viewpoints: Vec<Viewpoint<'_>> = sample_points.iter().map(|p| Viewpoint { tracer: &tracer, position: p.position }).collect();
+    viewpoints.push(Viewpoint { tracer: &without_object, position: center });
+    trace_cube_maps(&viewpoints, settings.face_size_texels, settings.pixel_format, &trace, staging, progress)?;
+
+    progress.report("building sample maps", 0, 1);
+    let lift = 0.1 * epsilon;
+    let visible = |texel: SamplePoint, sample: Vec3| !tracer.occluded(texel.position + lift * texel.normal, sample);
+    let sample_maps = build_sample_maps(&surface, &sample_points, settings.sample_map_size_texels as usize, &visible);
+    progress.report("building sample maps", 1, 1);
+    let bake = TraceSettings { samples_per_pixel: BACKGROUND_SAMPLES, ..trace };
+    let background = bake_background(scene, index, (center, radius), &tracer, &bake, progress)?;
+
+    let parameters = Parameters {
+        object: settings.object.clone(),
+        epsilon,
+        face_size_texels: settings.face_size_texels,
+        sample_map_size_texels: settings.sample_map_size_texels,
+        spacing: settings.spacing,
+        object_center: center.to_array(),
+        samples_per_texel: settings.samples_per_texel,
+        max_bounces: settings.max_bounces,
+        seed: settings.seed,
+    };
+    let field = OffsetSurfaceLightField { parameters, surface, sample_points, sample_maps, background };
+    for (name, bytes) in to_parts(&field)? {
+        staging.put_blob(name, &bytes)?;
+    }
+    Ok(field.parameters)
 }
 
-// Candidate i: area-uniform by the R3 sequence (Roberts 2018, generalised golden ratio g with g⁴ = g + 1).
-fn candidate(surface: &SurfaceMesh, cumulative_area: &[f64], i: u64) -> SamplePoint {
-    const G: f64 = 1.220_744_084_605_759_5;
-    let sequence = |power: i32| (0.5 + (i + 1) as f64 * G.powi(-power)).fract();
-    let total = cumulative_area[cumulative_area.len() - 1];
-    let t = cumulative_area.partition_point(|a| *a <= sequence(1) * total).min(cumulative_area.len() - 1);
-    let (root, b) = ((sequence(2) as f32).sqrt(), sequence(3) as f32);
-    let weights = Vec3::new(1.0 - root, root * (1.0 - b), root * b);
-    let mesh = &surface.mesh;
-    let [i0, i1, i2] = mesh.triangles[t].map(|v| v as usize);
-    SamplePoint {
-        position: weights.x * mesh.positions[i0] + weights.y * mesh.positions[i1] + weights.z * mesh.positions[i2],
-        normal: (weights.x * mesh.normals[i0] + weights.y * mesh.normals[i1] + weights.z * mesh.normals[i2]).normalize_or(Vec3::Y),
+fn check(settings: &ConstructSettings, epsilon: f32) -> Result<(), ConstructError> {
+    let within = |setting, value: u32, low: u32, high: u32, expected| {
+        if (low..=high).contains(&value) { Ok(()) } else { Err(ConstructError::Setting { setting, value: value.to_string(), expected }) }
+    };
+    within("face size", settings.face_size_texels, 4, 1024, "4 to 1024 texels")?;
+    within("sample map size", settings.sample_map_size_texels, 1, 1024, "1 to 1024 texels")?;
+    within("samples per texel", settings.samples_per_texel, 1, 65_536, "1 to 65536")?;
+    within("max bounces", settings.max_bounces, 1, 64, "1 to 64")?;
+    if !(epsilon > 0.0 && epsilon.is_finite()) {
+        return Err(ConstructError::Setting { setting: "epsilon", value: epsilon.to_string(), expected: "a finite distance above zero" });
+    }
+    Ok(())
+}
+
+// Patches are parts of their own; any other mesh is one part.
+fn surface_mesh(object: &Object) -> SurfaceMesh {
+    let mesh = object.mesh.clone();
+    match &object.surface {
+        Surface::Mesh => SurfaceMesh { part_of_triangle: vec![0; mesh.triangles.len()], parts: 1, mesh },
+        Surface::Patches { patches, patch_of_triangle } => {
+            SurfaceMesh { part_of_triangle: patch_of_triangle.clone(), parts: patches.len() as u32, mesh }
+        }
     }
 }
 
-/// For every texel of every part the four nearest sample points within 85° of its normal that `visible(texel, sample)` accepts.
-///
-/// `size` texels along an edge. Texels outside the surface's uv take the value of the nearest texel inside, so that a nearest-texel
-/// look-up at a border is never empty. `visible` is asked with world positions of the surface point and the sample point.
-pub fn build_sample_maps(
-    surface: &SurfaceMesh,
-    points: &[SamplePoint],
-    size: usize,
-    visible: &(dyn Fn(SamplePoint, Vec3) -> bool + Sync),
-) -> SampleMaps {
-    let indices = (0..surface.parts)
-        .into_par_iter()
-        .flat_map_iter(|part| {
-            let texels = surface_texels(surface, part, size);
-            let mut map: Vec<Option<[u16; 4]>> = texels.par_iter().map(|t| t.map(|t| best_four(t, points, visible))).collect();
-            fill_outside(&mut map, size);
-            map.into_iter().map(|m| m.unwrap_or([NO_SAMPLE; 4]))
-        })
-        .collect();
-    SampleMaps { size, indices }
-}
-
-fn best_four(texel: SamplePoint, points: &[SamplePoint], visible: &(dyn Fn(SamplePoint, Vec3) -> bool + Sync)) -> [u16; 4] {
-    let cos_horizon = CONSTRUCTION_HORIZON_DEG.to_radians().cos();
-    let mut near: Vec<(f32, u16)> = points
+// Points lifted by ε; those inside other geometry, or cut off from their surface by it, are dropped.
+fn offset_points(placed: &[SamplePoint], epsilon: f32, tracer: &Tracer) -> Vec<SamplePoint> {
+    placed
         .iter()
-        .enumerate()
-        .filter_map(|(i, p)| {
-            let to_sample = p.position - texel.position;
-            let distance = to_sample.length();
-            (texel.normal.dot(to_sample) > cos_horizon * distance).then_some((distance, i as u16))
-        })
-        .collect();
-    let by_distance = |a: &(f32, u16), b: &(f32, u16)| a.0.partial_cmp(&b.0).unwrap_or(Ordering::Equal).then(a.1.cmp(&b.1));
-    // Visibility rarely rejects more than a few: order the nearest sixteen first, the rest only when those do not suffice.
-    let head = near.len().min(16);
-    if near.len() > head {
-        near.select_nth_unstable_by(head - 1, by_distance);
-    }
-    near[..head].sort_unstable_by(by_distance);
-    let mut four = [NO_SAMPLE; 4];
-    let mut found = 0;
-    for k in 0..near.len().min(4 * head) {
-        if k == head {
-            near[head..].sort_unstable_by(by_distance);
-        }
-        let (_, i) = near[k];
-        if visible(texel, points[usize::from(i)].position) {
-            four[found] = i;
-            found += 1;
-            if found == 4 {
-                break;
-            }
-        }
-    }
-    four
-}
-
-// Surface point and normal at each texel centre of `part`; None outside its triangles' uv.
-fn surface_texels(surface: &SurfaceMesh, part: u32, size: usize) -> Vec<Option<SamplePoint>> {
-    let mesh = &surface.mesh;
-    let mut texels = vec![None; size * size];
-    for (t, _) in surface.part_of_triangle.iter().enumerate().filter(|(_, p)| **p == part) {
-        let corner = mesh.triangles[t].map(|v| v as usize);
-        let uv = corner.map(|v| mesh.uvs[v] * size as f32);
-        let area = (uv[1] - uv[0]).perp_dot(uv[2] - uv[0]);
-        if area == 0.0 {
-            continue;
-        }
-        let low = uv[0].min(uv[1]).min(uv[2]).floor().max(Vec2::ZERO).as_usizevec2();
-        let high = uv[0].max(uv[1]).max(uv[2]).ceil().min(Vec2::splat(size as f32)).max(Vec2::ZERO).as_usizevec2();
-        for row in low.y..high.y {
-            for column in low.x..high.x {
-                let at = Vec2::new(column as f32 + 0.5, row as f32 + 0.5);
-                let b1 = (at - uv[0]).perp_dot(uv[2] - uv[0]) / area;
-                let b2 = (uv[1] - uv[0]).perp_dot(at - uv[0]) / area;
-                let b0 = 1.0 - b1 - b2;
-                // Shared edges are covered from both sides despite rounding.
-                if b0.min(b1).min(b2) >= -1e-5 {
-                    let blend = |a: &[Vec3]| b0 * a[corner[0]] + b1 * a[corner[1]] + b2 * a[corner[2]];
-                    let normal = blend(&mesh.normals).normalize_or(Vec3::Y);
-                    texels[row * size + column] = Some(SamplePoint { position: blend(&mesh.positions), normal });
-                }
-            }
-        }
-    }
-    texels
-}
-
-// Spreads values to empty texels, nearest first, ring by ring.
-fn fill_outside(map: &mut [Option<[u16; 4]>], size: usize) {
-    let mut front: Vec<usize> = (0..map.len()).filter(|i| map[*i].is_some()).collect();
-    while !front.is_empty() {
-        let mut next = Vec::new();
-        for i in front {
-            let (row, column) = (i / size, i % size);
-            let around = [(row.wrapping_sub(1), column), (row + 1, column), (row, column.wrapping_sub(1)), (row, column + 1)];
-            for (r, c) in around {
-                if r < size && c < size && map[r * size + c].is_none() {
-                    map[r * size + c] = map[i];
-                    next.push(r * size + c);
-                }
-            }
-        }
-        front = next;
-    }
+        .map(|p| (p.position + 0.1 * epsilon * p.normal, SamplePoint { position: p.position + epsilon * p.normal, normal: p.normal }))
+        .filter(|(lifted, p)| !tracer.occluded(*lifted, p.position) && !tracer.is_inside_geometry(p.position))
+        .map(|(_, p)| p)
+        .take(usize::from(NO_SAMPLE) - 1)
+        .collect()
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::geometry::TriangleMesh;
-
-    // A unit square in the plane z = 0, normals +Z, uv = position; its back side as part 1 at z = −0.01.
-    fn sheet() -> SurfaceMesh {
-        let corners = [Vec2::ZERO, Vec2::X, Vec2::ONE, Vec2::Y];
-        let mut positions: Vec<Vec3> = corners.iter().map(|c| c.extend(0.0)).collect();
-        positions.extend(corners.iter().map(|c| c.extend(-0.01)));
-        let mut normals = vec![Vec3::Z; 4];
-        normals.extend([Vec3::NEG_Z; 4]);
-        let mut uvs = corners.to_vec();
-        uvs.extend(corners);
-        let triangles = vec![[0, 1, 2], [0, 2, 3], [4, 6, 5], [4, 7, 6]];
-        let mesh = TriangleMesh::new(positions, normals, uvs, triangles).unwrap();
-        SurfaceMesh { mesh, part_of_triangle: vec![0, 0, 1, 1], parts: 2 }
-    }
-
-    #[test]
-    fn points_keep_their_distance_and_leave_no_large_gap() {
-        let spacing = 0.1;
-        let points = place_sample_points(&sheet(), Spacing::Distance(spacing)).unwrap();
-        for (i, p) in points.iter().enumerate() {
-            for q in &points[..i] {
-                assert!(p.normal.dot(q.normal) < 0.0 || p.position.distance(q.position) >= spacing);
-            }
-        }
-        // Maximal sets leave no uncovered point farther than the spacing; 24 candidates a point leave at most a third more.
-        for k in 0..400u32 {
-            let at = Vec3::new((k % 20) as f32 / 19.0, (k / 20) as f32 / 19.0, 0.0);
-            let nearest = points.iter().filter(|p| p.normal.z > 0.0).map(|p| p.position.distance(at)).fold(f32::INFINITY, f32::min);
-            assert!(nearest < 1.35 * spacing, "{at}: {nearest}");
-        }
-    }
-
-    #[test]
-    fn a_count_is_met_within_five_percent() {
-        for count in [40u32, 300] {
-            let n = place_sample_points(&sheet(), Spacing::Count(count)).unwrap().len();
-            assert!(n.abs_diff(count as usize) as f32 <= 0.05 * count as f32, "{n} for {count}");
-        }
-    }
-
-    #[test]
-    fn senseless_spacings_are_refused() {
-        assert!(matches!(place_sample_points(&sheet(), Spacing::Distance(f32::NAN)), Err(ConstructError::BadSpacing(_))));
-        assert!(matches!(place_sample_points(&sheet(), Spacing::Count(3)), Err(ConstructError::BadSpacing(_))));
-        assert!(matches!(place_sample_points(&sheet(), Spacing::Distance(1e-4)), Err(ConstructError::TooMany { .. })));
-    }
-
-    #[test]
-    fn each_texel_names_the_four_nearest_points_above_its_own_horizon() {
-        let surface = sheet();
-        let offset = |p: &SamplePoint| SamplePoint { position: p.position + 0.05 * p.normal, normal: p.normal };
-        let points: Vec<_> = place_sample_points(&surface, Spacing::Distance(0.2)).unwrap().iter().map(offset).collect();
-        let maps = build_sample_maps(&surface, &points, 8, &|_, _| true);
-        let cos_horizon = CONSTRUCTION_HORIZON_DEG.to_radians().cos();
-        for (part, normal) in [(0u32, Vec3::Z), (1, Vec3::NEG_Z)] {
-            for texel in 0..64 {
-                let (u, v) = ((texel % 8) as f32 / 8.0 + 0.0625, (texel / 8) as f32 / 8.0 + 0.0625);
-                let at = Vec3::new(u, v, if part == 0 { 0.0 } else { -0.01 });
-                let mut expected: Vec<(f32, u16)> = points
-                    .iter()
-                    .enumerate()
-                    .filter(|(_, p)| normal.dot((p.position - at).normalize()) > cos_horizon)
-                    .map(|(i, p)| (p.position.distance(at), i as u16))
-                    .collect();
-                expected.sort_by(|a, b| a.0.total_cmp(&b.0));
-                let found = maps.at(part, u, v);
-                for (k, index) in found.iter().enumerate() {
-                    assert_eq!(*index, expected.get(k).map_or(NO_SAMPLE, |e| e.1));
-                }
-            }
-        }
-    }
-
-    #[test]
-    fn hidden_points_are_passed_over_and_too_few_leave_invalid_entries() {
-        let surface = sheet();
-        let points: Vec<_> = (0..5).map(|i| SamplePoint { position: Vec3::new(0.5, 0.5, 0.1 + 0.1 * i as f32), normal: Vec3::Z }).collect();
-        let maps = build_sample_maps(&surface, &points, 1, &|_, p| p.z > 0.35);
-        assert_eq!(maps.at(0, 0.5, 0.5), [3, 4, NO_SAMPLE, NO_SAMPLE]);
-        assert_eq!(maps.at(1, 0.5, 0.5), [NO_SAMPLE; 4]);
-    }
-
-    #[test]
-    fn texels_beyond_the_charts_border_repeat_the_nearest_inside() {
-        let mut surface = sheet();
-        surface.mesh.triangles.truncate(1);
-        surface.part_of_triangle = vec![0];
-        surface.parts = 1;
-        let points = [SamplePoint { position: Vec3::new(0.9, 0.1, 0.3), normal: Vec3::Z }];
-        let maps = build_sample_maps(&surface, &points, 8, &|_, _| true);
-        assert!(maps.indices.iter().all(|four| four[0] == 0));
-    }
-}
+#[path = "construct_tests.rs"]
+mod tests;

@@ -13,15 +13,17 @@
 //! Source: the methods page "Offset surface light field" and the paper behind it.
 
 mod construct;
+mod sample_points;
 mod storage;
 
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
 
+use crate::capture::Background;
 use crate::geometry::TriangleMesh;
-use crate::scenes::{Albedo, Environment, Texture};
 
-pub use construct::{ConstructError, Spacing, build_sample_maps, place_sample_points};
+pub use construct::{ConstructError, ConstructSettings, construct};
+pub use sample_points::{PlacementError, Spacing, build_sample_maps, place_sample_points};
 pub use storage::{PartsError, from_parts, to_parts};
 
 /// Largest angle between a texel's normal and the direction to a sample point when sample maps are built.
@@ -104,30 +106,6 @@ pub struct SampleMaps {
     pub indices: Vec<[u16; 4]>,
 }
 
-/// The scene around the object as proxy geometry with baked light, shown behind and before the object. Not part of the light field.
-#[derive(Debug, Clone, Serialize, Deserialize)]
-pub struct Background {
-    /// Proxies.
-    pub surfaces: Vec<BackgroundSurface>,
-    /// Named by `BackgroundSurface::albedo`.
-    pub textures: Vec<Texture>,
-    /// Where nothing is hit.
-    pub environment: Environment,
-}
-
-/// One proxy: exitant radiance = emission (front only) + albedo / π · irradiance of the side that is seen.
-#[derive(Debug, Clone, Serialize, Deserialize)]
-pub struct BackgroundSurface {
-    /// World space, subdivided for the baked light.
-    pub mesh: TriangleMesh,
-    /// Per vertex, irradiance on the side of the normal and on the other.
-    pub irradiance: Vec<[Vec3; 2]>,
-    /// Reflectance; None for surfaces that are not diffuse: black, their pixels flagged unknown.
-    pub albedo: Option<Albedo>,
-    /// Radiance on the side of the normal.
-    pub emission: Vec3,
-}
-
 /// What of the object to show.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Component {
@@ -171,6 +149,39 @@ pub struct Settings {
     pub blend: Blend,
     /// C_s in `Mirror` and `Full`, per channel in [0, 1].
     pub specular_reflectance: Vec3,
+}
+
+impl Component {
+    /// On the command line and in reports.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Reconstruction => "reconstruction",
+            Self::Mirror => "mirror",
+            Self::Full => "full",
+        }
+    }
+}
+
+impl Blend {
+    /// On the command line and in reports.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Distance => "distance",
+            Self::Angle => "angle",
+            Self::Average => "average",
+            Self::Reflection { .. } => "reflection",
+            Self::Normal { .. } => "normal",
+            Self::EnvironmentMap => "environment_map",
+        }
+    }
+
+    /// N, where there is one.
+    pub fn exponent(self) -> Option<f32> {
+        match self {
+            Self::Reflection { exponent } | Self::Normal { exponent } => Some(exponent),
+            Self::Distance | Self::Angle | Self::Average | Self::EnvironmentMap => None,
+        }
+    }
 }
 
 impl OffsetSurfaceLightField {

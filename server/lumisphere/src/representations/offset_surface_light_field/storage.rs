@@ -9,7 +9,8 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use thiserror::Error;
 
-use super::{Background, NO_SAMPLE, OffsetSurfaceLightField, Parameters, SampleMaps, SamplePoint, SurfaceMesh};
+use super::{NO_SAMPLE, OffsetSurfaceLightField, Parameters, SampleMaps, SamplePoint, SurfaceMesh};
+use crate::capture::Background;
 use crate::images::Image;
 use crate::scenes::{Albedo, Environment};
 
@@ -155,8 +156,9 @@ mod tests {
 
     use glam::{Vec2, Vec3};
 
-    use super::super::{BackgroundSurface, Spacing};
+    use super::super::Spacing;
     use super::*;
+    use crate::capture::BackgroundSurface;
     use crate::geometry::TriangleMesh;
 
     fn triangle() -> TriangleMesh {

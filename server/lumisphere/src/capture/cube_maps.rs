@@ -1,0 +1,87 @@
+//! Cube maps traced at many points, stored page by page, so that a killed capture goes on where it was.
+
+use glam::Vec3;
+use rayon::prelude::*;
+use thiserror::Error;
+
+use crate::directions::{CubeMap, FACES};
+use crate::progress::{Cancelled, Progress};
+use crate::raytrace::{TraceSettings, Tracer};
+use crate::textures::{EncodedPage, PageId, PageShape, PixelFormat, Staging, StoreError, encode};
+
+/// Where a cube map is taken, and in which scene.
+#[derive(Clone, Copy)]
+pub struct Viewpoint<'a> {
+    /// The scene as this cube map sees it.
+    pub tracer: &'a Tracer,
+    /// World space.
+    pub position: Vec3,
+}
+
+/// Why a capture ended early. What was stored by then stays in the staging area.
+#[derive(Debug, Error)]
+pub enum CaptureError {
+    /// Asked to stop; can be resumed.
+    #[error(transparent)]
+    Cancelled(#[from] Cancelled),
+    /// A page could not be stored.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+}
+
+// Cube maps traced side by side: enough to keep the threads busy while one is encoded, few enough to lose little when killed.
+const BATCH: usize = 8;
+
+/// Traces viewpoint k into pages 6·k … 6·k + 5: R, G, B (mean over the texel) and distance, `face_size` texels an edge.
+///
+/// Pages that `staging` holds already are not traced again. Each cube map has its own seed, derived from `settings.seed` and k, and
+/// pages are appended in order: the same job gives the same bytes for any number of threads, interrupted or not.
+pub fn trace_cube_maps(
+    viewpoints: &[Viewpoint<'_>],
+    face_size: u32,
+    pixel: PixelFormat,
+    settings: &TraceSettings,
+    staging: &Staging,
+    progress: &dyn Progress,
+) -> Result<(), CaptureError> {
+    let shape = PageShape { width: face_size, height: face_size, channels: 4, pixel };
+    let present = staging.pages_present();
+    let page = |k: usize, face: usize| PageId((FACES * k + face) as u32);
+    let missing: Vec<usize> = (0..viewpoints.len()).filter(|k| (0..FACES).any(|f| !present.contains(&page(*k, f)))).collect();
+    let mut done = viewpoints.len() - missing.len();
+    for batch in missing.chunks(BATCH) {
+        progress.report("tracing cube maps", done as u64, viewpoints.len() as u64);
+        let traced: Result<Vec<Vec<EncodedPage>>, CaptureError> = batch
+            .par_iter()
+            .map(|k| {
+                let seeded =
+                    TraceSettings { seed: settings.seed.wrapping_add((*k as u64 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15)), ..*settings };
+                let Viewpoint { tracer, position } = viewpoints[*k];
+                encode_faces(&tracer.cube_map(position, face_size as usize, &seeded, &Silent(progress))?, &shape)
+            })
+            .collect();
+        for (k, faces) in batch.iter().zip(traced?) {
+            for (face, encoded) in faces.iter().enumerate().filter(|(f, _)| !present.contains(&page(*k, *f))) {
+                staging.append_encoded(page(*k, face), encoded)?;
+            }
+        }
+        done += batch.len();
+    }
+    progress.report("tracing cube maps", done as u64, viewpoints.len() as u64);
+    Ok(())
+}
+
+fn encode_faces(map: &CubeMap, shape: &PageShape) -> Result<Vec<EncodedPage>, CaptureError> {
+    let texels = map.size * map.size;
+    map.texels.chunks(texels).map(|face| Ok(encode(shape, face.as_flattened())?)).collect()
+}
+
+// Passes cancellation on and keeps the tracer's own tile counts to itself.
+struct Silent<'a>(&'a dyn Progress);
+
+impl Progress for Silent<'_> {
+    fn report(&self, _what: &str, _done: u64, _total: u64) {}
+    fn is_cancelled(&self) -> bool {
+        self.0.is_cancelled()
+    }
+}

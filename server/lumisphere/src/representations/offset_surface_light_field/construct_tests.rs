@@ -1,0 +1,209 @@
+//! Construction on a ball above a table under a sky: resumable, reproducible, refusing nonsense.
+
+use std::f32::consts::{PI, TAU};
+use std::path::Path;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use glam::{Vec2, Vec3};
+
+use super::super::*;
+use super::{ConstructError, ConstructSettings, construct};
+use crate::directions::FACES;
+use crate::geometry::TriangleMesh;
+use crate::progress::{Cancelled, Progress, Unattended};
+use crate::scenes::{Albedo, Environment, Material, Object, Scene, Surface};
+use crate::textures::{DatasetVersion, PageId, PixelFormat, Publication, Staging, Store, StoreOptions};
+
+fn object(name: &str, mesh: TriangleMesh) -> Object {
+    Object { name: name.into(), mesh, surface: Surface::Mesh, material: 0, emission: None }
+}
+
+fn ball(center: Vec3, radius: f32) -> TriangleMesh {
+    let (rings, sectors) = (12u32, 24u32);
+    let mut mesh = TriangleMesh { positions: vec![], normals: vec![], uvs: vec![], triangles: vec![] };
+    for ring in 0..=rings {
+        for sector in 0..=sectors {
+            let (v, u) = (ring as f32 / rings as f32, sector as f32 / sectors as f32);
+            let n = Vec3::new((PI * v).sin() * (TAU * u).cos(), -(PI * v).cos(), -(PI * v).sin() * (TAU * u).sin());
+            mesh.positions.push(center + radius * n);
+            mesh.normals.push(n);
+            mesh.uvs.push(Vec2::new(u, v));
+            if ring < rings && sector < sectors {
+                let i = ring * (sectors + 1) + sector;
+                mesh.triangles.extend([[i, i + 1, i + sectors + 2], [i, i + sectors + 2, i + sectors + 1]]);
+            }
+        }
+    }
+    TriangleMesh::new(mesh.positions, mesh.normals, mesh.uvs, mesh.triangles).unwrap()
+}
+
+fn table(height: f32) -> TriangleMesh {
+    let corners = [Vec2::new(-2.0, -2.0), Vec2::new(-2.0, 2.0), Vec2::new(2.0, 2.0), Vec2::new(2.0, -2.0)];
+    let positions = corners.map(|c| Vec3::new(c.x, height, c.y)).to_vec();
+    TriangleMesh::new(positions, vec![Vec3::Y; 4], vec![Vec2::ZERO; 4], vec![[0, 1, 2], [0, 2, 3]]).unwrap()
+}
+
+fn scene(objects: Vec<Object>) -> Scene {
+    Scene {
+        name: "ball".into(),
+        objects,
+        materials: vec![Material::Diffuse { albedo: Albedo::Constant(Vec3::splat(0.5)) }],
+        textures: vec![],
+        point_lights: vec![],
+        environment: Environment::Constant(Vec3::ONE),
+        cameras: vec![],
+        notes: vec![],
+    }
+}
+
+fn ball_on_table() -> Scene {
+    scene(vec![object("ball", ball(Vec3::Y * 1.2, 1.0)), object("table", table(0.0))])
+}
+
+fn settings() -> ConstructSettings {
+    ConstructSettings {
+        object: "ball".into(),
+        epsilon: Some(0.1),
+        spacing: Spacing::Count(24),
+        face_size_texels: 16,
+        sample_map_size_texels: 16,
+        pixel_format: PixelFormat::F32,
+        samples_per_texel: 4,
+        max_bounces: 2,
+        seed: 5,
+    }
+}
+
+fn stage(root: &Path) -> (Store, Staging) {
+    let (store, _) = Store::open(root, StoreOptions::local()).unwrap();
+    let staging = match store.create_dataset("ball").and_then(|()| store.stage("ball", "job-1")) {
+        Ok(staging) => staging,
+        Err(_) => store.stage("ball", "job-1").unwrap(),
+    };
+    (store, staging)
+}
+
+fn publish(staging: Staging, parameters: &Parameters) -> std::sync::Arc<DatasetVersion> {
+    let parameters = serde_json::to_value(parameters).unwrap();
+    let publication = Publication {
+        kind: "offset_surface_light_field".into(),
+        parameters,
+        inputs: Default::default(),
+        code_version: "test".into(),
+        created_unix_millis: 0,
+    };
+    staging.publish(publication).unwrap()
+}
+
+fn built_in(root: &Path, threads: usize) -> std::sync::Arc<DatasetVersion> {
+    let (_store, staging) = stage(root);
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+    let parameters = pool.install(|| construct(&ball_on_table(), &settings(), &staging, &Unattended)).unwrap();
+    publish(staging, &parameters)
+}
+
+fn load(version: &DatasetVersion) -> OffsetSurfaceLightField {
+    let parameters = serde_json::from_value(version.manifest().parameters.clone()).unwrap();
+    from_parts::<PartsError>(parameters, &|name| Ok(version.blob(name).unwrap())).unwrap()
+}
+
+// Files and their hashes, without what names the dataset.
+fn content(version: &DatasetVersion) -> (Vec<crate::textures::SegmentEntry>, Vec<crate::textures::BlobEntry>) {
+    (version.manifest().segments.clone(), version.manifest().blobs.values().cloned().collect())
+}
+
+#[test]
+fn one_thread_and_two_give_the_same_bytes() {
+    let (one, two) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    assert_eq!(content(&built_in(one.path(), 1)), content(&built_in(two.path(), 2)));
+}
+
+// Cancels once `left` progress reports of the tracing stage have been made.
+struct CancelAfter(AtomicU64);
+
+impl Progress for CancelAfter {
+    fn report(&self, what: &str, done: u64, _total: u64) {
+        if what == "tracing cube maps" && done > 0 {
+            self.0.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+    fn is_cancelled(&self) -> bool {
+        self.0.load(Ordering::Relaxed) > 0
+    }
+}
+
+#[test]
+fn a_stopped_capture_goes_on_where_it_was_and_ends_in_the_same_bytes() {
+    let (whole, broken) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let expected = built_in(whole.path(), 2);
+    {
+        let (_store, staging) = stage(broken.path());
+        let stopped = construct(&ball_on_table(), &settings(), &staging, &CancelAfter(AtomicU64::new(0)));
+        assert!(matches!(stopped, Err(ConstructError::Cancelled(Cancelled))));
+        // Dropped without a word, as a kill would.
+    }
+    let (_store, staging) = stage(broken.path());
+    let kept = staging.pages_present().len();
+    assert!(kept >= FACES && kept < expected.page_count() as usize, "{kept} pages kept");
+    let parameters = construct(&ball_on_table(), &settings(), &staging, &Unattended).unwrap();
+    let resumed = publish(staging, &parameters);
+    for page in 0..expected.page_count() {
+        assert_eq!(expected.read_page(PageId(page)).unwrap().to_f32(), resumed.read_page(PageId(page)).unwrap().to_f32(), "page {page}");
+    }
+    assert_eq!(content(&expected).1, content(&resumed).1);
+}
+
+#[test]
+fn what_is_stored_loads_and_every_cube_map_sees_the_sky_above_and_its_surface_below() {
+    let root = tempfile::tempdir().unwrap();
+    let version = built_in(root.path(), 2);
+    let field = load(&version);
+    assert_eq!(version.page_count() as usize, field.page_count());
+    assert!(field.sample_points.len() >= 20);
+    for (cube, point) in field.sample_points.iter().enumerate() {
+        // Toward its own surface: the distance is ε to within what a flat facet of the ball's mesh and a texel's width cut off.
+        let (face, _) = crate::directions::face_from_direction(-point.normal);
+        let page = version.read_page(PageId(OffsetSurfaceLightField::page(cube, face))).unwrap();
+        let nearest = (0..16 * 16).map(|t| page.texel(t % 16, t / 16)[3]).fold(f32::INFINITY, f32::min);
+        assert!((0.08..0.13).contains(&nearest), "cube {cube}: {nearest}");
+    }
+    // The baseline sees the sky where the ball was: up is radiance 1, exactly, at infinity.
+    let up = version.read_page(PageId(OffsetSurfaceLightField::page(field.sample_points.len(), 2))).unwrap();
+    assert_eq!(up.texel(8, 8), [1.0, 1.0, 1.0, f32::INFINITY]);
+}
+
+#[test]
+fn points_below_the_table_are_dropped() {
+    // The ball's lowest fifth is sunk into the table, a closed slab so that "inside" has a meaning.
+    let slab =
+        scene(vec![object("ball", ball(Vec3::Y * 0.6, 1.0)), object("slab", block(Vec3::new(-2.0, -1.0, -2.0), Vec3::new(2.0, 0.0, 2.0)))]);
+    let root = tempfile::tempdir().unwrap();
+    let (_store, staging) = stage(root.path());
+    let parameters = construct(&slab, &ConstructSettings { samples_per_texel: 1, ..settings() }, &staging, &Unattended).unwrap();
+    let field = load(&publish(staging, &parameters));
+    let lowest = field.sample_points.iter().map(|p| p.position.y).fold(f32::INFINITY, f32::min);
+    assert!(lowest > 0.0, "a sample point at height {lowest}");
+}
+
+fn block(low: Vec3, high: Vec3) -> TriangleMesh {
+    let corner = |k: u32| Vec3::select(glam::BVec3::new(k & 1 > 0, k & 2 > 0, k & 4 > 0), high, low);
+    let quads = [[0u32, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]];
+    let triangles: Vec<[u32; 3]> = quads.iter().flat_map(|[a, b, c, d]| [[*a, *b, *c], [*a, *c, *d]]).collect();
+    let positions = triangles.iter().flatten().map(|i| corner(*i)).collect::<Vec<_>>();
+    let n = positions.len();
+    let own = (0..n as u32 / 3).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect();
+    TriangleMesh::new(positions, vec![Vec3::ZERO; n], vec![Vec2::ZERO; n], own).unwrap()
+}
+
+#[test]
+fn senseless_settings_are_refused_by_name() {
+    let root = tempfile::tempdir().unwrap();
+    let (_store, staging) = stage(root.path());
+    let refuse = |settings: ConstructSettings| construct(&ball_on_table(), &settings, &staging, &Unattended).unwrap_err().to_string();
+    assert!(refuse(ConstructSettings { object: "pot".into(), ..settings() }).contains("ball, table"));
+    assert!(refuse(ConstructSettings { epsilon: Some(f32::NAN), ..settings() }).contains("epsilon"));
+    assert!(refuse(ConstructSettings { face_size_texels: 0, ..settings() }).contains("face size"));
+    assert!(refuse(ConstructSettings { samples_per_texel: 0, ..settings() }).contains("samples per texel"));
+    assert!(refuse(ConstructSettings { spacing: Spacing::Distance(0.0), ..settings() }).contains("spacing"));
+    assert_eq!(staging.pages_present().len(), 0);
+}

@@ -1,0 +1,334 @@
+//! From a surface to sample points, and from sample points to sample maps. Geometry only.
+
+use std::cmp::Ordering;
+use std::collections::HashMap;
+
+use glam::{IVec3, Vec2, Vec3};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+use super::{CONSTRUCTION_HORIZON_DEG, NO_SAMPLE, SampleMaps, SamplePoint, SurfaceMesh};
+
+/// How far apart sample points lie.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Spacing {
+    /// No two points on the same side of the surface closer than this, in the scene's unit; none missing where one would fit.
+    Distance(f32),
+    /// About this many points (within a few percent before points inside geometry are dropped).
+    Count(u32),
+}
+
+/// Why no sample points could be placed.
+#[derive(Debug, Clone, PartialEq, Error)]
+pub enum PlacementError {
+    /// Spacing not above zero.
+    #[error("spacing is {0:?}, a finite distance above zero or a count of at least 4 expected")]
+    BadSpacing(Spacing),
+    /// More points than 16-bit indices can name.
+    #[error("spacing {spacing} on a surface of area {area} would need about {points} sample points, at most {limit} can be indexed", limit = NO_SAMPLE - 1)]
+    TooMany {
+        /// As given or derived.
+        spacing: f32,
+        /// Of the object's mesh.
+        area: f32,
+        /// Estimate.
+        points: u64,
+    },
+}
+
+// Candidates a disc of the spacing's radius: with sixteen, gaps that would take another point are rare.
+const CANDIDATES_PER_POINT: f32 = 24.0;
+// Random discs of minimum distance d cover the plane at about 0.7 points per d² (maximal Poisson-disc sets).
+const POINTS_PER_SQUARE_SPACING: f32 = 0.7;
+
+/// Surface points (not yet offset) and their normals at the spacing asked for, by dart throwing in a fixed low-discrepancy order.
+///
+/// Points on opposite sides of a thin wall do not keep each other away. The same mesh and spacing give the same points.
+pub fn place_sample_points(surface: &SurfaceMesh, spacing: Spacing) -> Result<Vec<SamplePoint>, PlacementError> {
+    let area: f32 = (0..surface.mesh.triangles.len()).map(|t| surface.mesh.area_vector(t).length()).sum();
+    match spacing {
+        Spacing::Distance(distance) if distance > 0.0 && distance.is_finite() => throw_darts(surface, area, distance),
+        Spacing::Count(count) if count >= 4 => {
+            // The count falls as the spacing grows: bisect on the spacing, 12 halvings of a factor of four.
+            let guess = (area * POINTS_PER_SQUARE_SPACING / count as f32).sqrt();
+            let (mut low, mut high) = (0.5 * guess, 2.0 * guess);
+            let mut best = throw_darts(surface, area, guess)?;
+            for _ in 0..12 {
+                let middle = (low * high).sqrt();
+                let points = throw_darts(surface, area, middle)?;
+                let closer = |n: usize| n.abs_diff(count as usize);
+                if points.len() > count as usize {
+                    low = middle;
+                } else {
+                    high = middle;
+                }
+                if closer(points.len()) < closer(best.len()) {
+                    best = points;
+                }
+                if best.len() == count as usize {
+                    break;
+                }
+            }
+            Ok(best)
+        }
+        _ => Err(PlacementError::BadSpacing(spacing)),
+    }
+}
+
+fn throw_darts(surface: &SurfaceMesh, area: f32, spacing: f32) -> Result<Vec<SamplePoint>, PlacementError> {
+    let expected = area * POINTS_PER_SQUARE_SPACING / (spacing * spacing);
+    if !(expected < f32::from(NO_SAMPLE - 1)) {
+        return Err(PlacementError::TooMany { spacing, area, points: expected as u64 });
+    }
+    let mesh = &surface.mesh;
+    let mut cumulative_area = Vec::with_capacity(mesh.triangles.len());
+    let mut sum = 0f64;
+    for t in 0..mesh.triangles.len() {
+        sum += f64::from(mesh.area_vector(t).length());
+        cumulative_area.push(sum);
+    }
+    let candidates = (CANDIDATES_PER_POINT * expected).ceil().max(64.0) as u64;
+    let mut points: Vec<SamplePoint> = Vec::new();
+    let mut grid: HashMap<IVec3, Vec<u32>> = HashMap::new();
+    for i in 0..candidates {
+        let candidate = candidate(surface, &cumulative_area, i);
+        let cell = (candidate.position / spacing).floor().as_ivec3();
+        let crowded = neighbours(cell).filter_map(|c| grid.get(&c)).flatten().any(|j| {
+            let other = &points[*j as usize];
+            other.position.distance(candidate.position) < spacing && other.normal.dot(candidate.normal) > 0.0
+        });
+        if !crowded && points.len() < usize::from(NO_SAMPLE - 1) {
+            grid.entry(cell).or_default().push(points.len() as u32);
+            points.push(candidate);
+        }
+    }
+    Ok(points)
+}
+
+fn neighbours(cell: IVec3) -> impl Iterator<Item = IVec3> {
+    (0..27).map(move |k| cell + IVec3::new(k % 3 - 1, k / 3 % 3 - 1, k / 9 - 1))
+}
+
+// Candidate i: area-uniform by the R3 sequence (Roberts 2018, generalised golden ratio g with g⁴ = g + 1).
+fn candidate(surface: &SurfaceMesh, cumulative_area: &[f64], i: u64) -> SamplePoint {
+    const G: f64 = 1.220_744_084_605_759_5;
+    let sequence = |power: i32| (0.5 + (i + 1) as f64 * G.powi(-power)).fract();
+    let total = cumulative_area[cumulative_area.len() - 1];
+    let t = cumulative_area.partition_point(|a| *a <= sequence(1) * total).min(cumulative_area.len() - 1);
+    let (root, b) = ((sequence(2) as f32).sqrt(), sequence(3) as f32);
+    let weights = Vec3::new(1.0 - root, root * (1.0 - b), root * b);
+    let mesh = &surface.mesh;
+    let [i0, i1, i2] = mesh.triangles[t].map(|v| v as usize);
+    SamplePoint {
+        position: weights.x * mesh.positions[i0] + weights.y * mesh.positions[i1] + weights.z * mesh.positions[i2],
+        normal: (weights.x * mesh.normals[i0] + weights.y * mesh.normals[i1] + weights.z * mesh.normals[i2]).normalize_or(Vec3::Y),
+    }
+}
+
+/// For every texel of every part the four nearest sample points within 85° of its normal that `visible(texel, sample)` accepts.
+///
+/// `size` texels along an edge. Texels outside the surface's uv take the value of the nearest texel inside, so that a nearest-texel
+/// look-up at a border is never empty. `visible` is asked with world positions of the surface point and the sample point.
+pub fn build_sample_maps(
+    surface: &SurfaceMesh,
+    points: &[SamplePoint],
+    size: usize,
+    visible: &(dyn Fn(SamplePoint, Vec3) -> bool + Sync),
+) -> SampleMaps {
+    let indices = (0..surface.parts)
+        .into_par_iter()
+        .flat_map_iter(|part| {
+            let texels = surface_texels(surface, part, size);
+            let mut map: Vec<Option<[u16; 4]>> = texels.par_iter().map(|t| t.map(|t| best_four(t, points, visible))).collect();
+            fill_outside(&mut map, size);
+            map.into_iter().map(|m| m.unwrap_or([NO_SAMPLE; 4]))
+        })
+        .collect();
+    SampleMaps { size, indices }
+}
+
+fn best_four(texel: SamplePoint, points: &[SamplePoint], visible: &(dyn Fn(SamplePoint, Vec3) -> bool + Sync)) -> [u16; 4] {
+    let cos_horizon = CONSTRUCTION_HORIZON_DEG.to_radians().cos();
+    let mut near: Vec<(f32, u16)> = points
+        .iter()
+        .enumerate()
+        .filter_map(|(i, p)| {
+            let to_sample = p.position - texel.position;
+            let distance = to_sample.length();
+            (texel.normal.dot(to_sample) > cos_horizon * distance).then_some((distance, i as u16))
+        })
+        .collect();
+    let by_distance = |a: &(f32, u16), b: &(f32, u16)| a.0.partial_cmp(&b.0).unwrap_or(Ordering::Equal).then(a.1.cmp(&b.1));
+    // Visibility rarely rejects more than a few: order the nearest sixteen first, the rest only when those do not suffice.
+    let head = near.len().min(16);
+    if near.len() > head {
+        near.select_nth_unstable_by(head - 1, by_distance);
+    }
+    near[..head].sort_unstable_by(by_distance);
+    let mut four = [NO_SAMPLE; 4];
+    let mut found = 0;
+    for k in 0..near.len().min(4 * head) {
+        if k == head {
+            near[head..].sort_unstable_by(by_distance);
+        }
+        let (_, i) = near[k];
+        if visible(texel, points[usize::from(i)].position) {
+            four[found] = i;
+            found += 1;
+            if found == 4 {
+                break;
+            }
+        }
+    }
+    four
+}
+
+// Surface point and normal at each texel centre of `part`; None outside its triangles' uv.
+fn surface_texels(surface: &SurfaceMesh, part: u32, size: usize) -> Vec<Option<SamplePoint>> {
+    let mesh = &surface.mesh;
+    let mut texels = vec![None; size * size];
+    for (t, _) in surface.part_of_triangle.iter().enumerate().filter(|(_, p)| **p == part) {
+        let corner = mesh.triangles[t].map(|v| v as usize);
+        let uv = corner.map(|v| mesh.uvs[v] * size as f32);
+        let area = (uv[1] - uv[0]).perp_dot(uv[2] - uv[0]);
+        if area == 0.0 {
+            continue;
+        }
+        let low = uv[0].min(uv[1]).min(uv[2]).floor().max(Vec2::ZERO).as_usizevec2();
+        let high = uv[0].max(uv[1]).max(uv[2]).ceil().min(Vec2::splat(size as f32)).max(Vec2::ZERO).as_usizevec2();
+        for row in low.y..high.y {
+            for column in low.x..high.x {
+                let at = Vec2::new(column as f32 + 0.5, row as f32 + 0.5);
+                let b1 = (at - uv[0]).perp_dot(uv[2] - uv[0]) / area;
+                let b2 = (uv[1] - uv[0]).perp_dot(at - uv[0]) / area;
+                let b0 = 1.0 - b1 - b2;
+                // Shared edges are covered from both sides despite rounding.
+                if b0.min(b1).min(b2) >= -1e-5 {
+                    let blend = |a: &[Vec3]| b0 * a[corner[0]] + b1 * a[corner[1]] + b2 * a[corner[2]];
+                    let normal = blend(&mesh.normals).normalize_or(Vec3::Y);
+                    texels[row * size + column] = Some(SamplePoint { position: blend(&mesh.positions), normal });
+                }
+            }
+        }
+    }
+    texels
+}
+
+// Spreads values to empty texels, nearest first, ring by ring.
+fn fill_outside(map: &mut [Option<[u16; 4]>], size: usize) {
+    let mut front: Vec<usize> = (0..map.len()).filter(|i| map[*i].is_some()).collect();
+    while !front.is_empty() {
+        let mut next = Vec::new();
+        for i in front {
+            let (row, column) = (i / size, i % size);
+            let around = [(row.wrapping_sub(1), column), (row + 1, column), (row, column.wrapping_sub(1)), (row, column + 1)];
+            for (r, c) in around {
+                if r < size && c < size && map[r * size + c].is_none() {
+                    map[r * size + c] = map[i];
+                    next.push(r * size + c);
+                }
+            }
+        }
+        front = next;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::TriangleMesh;
+
+    // A unit square in the plane z = 0, normals +Z, uv = position; its back side as part 1 at z = −0.01.
+    fn sheet() -> SurfaceMesh {
+        let corners = [Vec2::ZERO, Vec2::X, Vec2::ONE, Vec2::Y];
+        let mut positions: Vec<Vec3> = corners.iter().map(|c| c.extend(0.0)).collect();
+        positions.extend(corners.iter().map(|c| c.extend(-0.01)));
+        let mut normals = vec![Vec3::Z; 4];
+        normals.extend([Vec3::NEG_Z; 4]);
+        let mut uvs = corners.to_vec();
+        uvs.extend(corners);
+        let triangles = vec![[0, 1, 2], [0, 2, 3], [4, 6, 5], [4, 7, 6]];
+        let mesh = TriangleMesh::new(positions, normals, uvs, triangles).unwrap();
+        SurfaceMesh { mesh, part_of_triangle: vec![0, 0, 1, 1], parts: 2 }
+    }
+
+    #[test]
+    fn points_keep_their_distance_and_leave_no_large_gap() {
+        let spacing = 0.1;
+        let points = place_sample_points(&sheet(), Spacing::Distance(spacing)).unwrap();
+        for (i, p) in points.iter().enumerate() {
+            for q in &points[..i] {
+                assert!(p.normal.dot(q.normal) < 0.0 || p.position.distance(q.position) >= spacing);
+            }
+        }
+        // Maximal sets leave no uncovered point farther than the spacing; 24 candidates a point leave at most a third more.
+        for k in 0..400u32 {
+            let at = Vec3::new((k % 20) as f32 / 19.0, (k / 20) as f32 / 19.0, 0.0);
+            let nearest = points.iter().filter(|p| p.normal.z > 0.0).map(|p| p.position.distance(at)).fold(f32::INFINITY, f32::min);
+            assert!(nearest < 1.35 * spacing, "{at}: {nearest}");
+        }
+    }
+
+    #[test]
+    fn a_count_is_met_within_five_percent() {
+        for count in [40u32, 300] {
+            let n = place_sample_points(&sheet(), Spacing::Count(count)).unwrap().len();
+            assert!(n.abs_diff(count as usize) as f32 <= 0.05 * count as f32, "{n} for {count}");
+        }
+    }
+
+    #[test]
+    fn senseless_spacings_are_refused() {
+        assert!(matches!(place_sample_points(&sheet(), Spacing::Distance(f32::NAN)), Err(PlacementError::BadSpacing(_))));
+        assert!(matches!(place_sample_points(&sheet(), Spacing::Count(3)), Err(PlacementError::BadSpacing(_))));
+        assert!(matches!(place_sample_points(&sheet(), Spacing::Distance(1e-4)), Err(PlacementError::TooMany { .. })));
+    }
+
+    #[test]
+    fn each_texel_names_the_four_nearest_points_above_its_own_horizon() {
+        let surface = sheet();
+        let offset = |p: &SamplePoint| SamplePoint { position: p.position + 0.05 * p.normal, normal: p.normal };
+        let points: Vec<_> = place_sample_points(&surface, Spacing::Distance(0.2)).unwrap().iter().map(offset).collect();
+        let maps = build_sample_maps(&surface, &points, 8, &|_, _| true);
+        let cos_horizon = CONSTRUCTION_HORIZON_DEG.to_radians().cos();
+        for (part, normal) in [(0u32, Vec3::Z), (1, Vec3::NEG_Z)] {
+            for texel in 0..64 {
+                let (u, v) = ((texel % 8) as f32 / 8.0 + 0.0625, (texel / 8) as f32 / 8.0 + 0.0625);
+                let at = Vec3::new(u, v, if part == 0 { 0.0 } else { -0.01 });
+                let mut expected: Vec<(f32, u16)> = points
+                    .iter()
+                    .enumerate()
+                    .filter(|(_, p)| normal.dot((p.position - at).normalize()) > cos_horizon)
+                    .map(|(i, p)| (p.position.distance(at), i as u16))
+                    .collect();
+                expected.sort_by(|a, b| a.0.total_cmp(&b.0));
+                let found = maps.at(part, u, v);
+                for (k, index) in found.iter().enumerate() {
+                    assert_eq!(*index, expected.get(k).map_or(NO_SAMPLE, |e| e.1));
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn hidden_points_are_passed_over_and_too_few_leave_invalid_entries() {
+        let surface = sheet();
+        let points: Vec<_> = (0..5).map(|i| SamplePoint { position: Vec3::new(0.5, 0.5, 0.1 + 0.1 * i as f32), normal: Vec3::Z }).collect();
+        let maps = build_sample_maps(&surface, &points, 1, &|_, p| p.z > 0.35);
+        assert_eq!(maps.at(0, 0.5, 0.5), [3, 4, NO_SAMPLE, NO_SAMPLE]);
+        assert_eq!(maps.at(1, 0.5, 0.5), [NO_SAMPLE; 4]);
+    }
+
+    #[test]
+    fn texels_beyond_the_charts_border_repeat_the_nearest_inside() {
+        let mut surface = sheet();
+        surface.mesh.triangles.truncate(1);
+        surface.part_of_triangle = vec![0];
+        surface.parts = 1;
+        let points = [SamplePoint { position: Vec3::new(0.9, 0.1, 0.3), normal: Vec3::Z }];
+        let maps = build_sample_maps(&surface, &points, 8, &|_, _| true);
+        assert!(maps.indices.iter().all(|four| four[0] == 0));
+    }
+}
