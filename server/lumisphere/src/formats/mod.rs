@@ -1,1 +1,28 @@
-//! (empty so far)
+//! Foreign formats, one file each: bytes in, our geometry out, +Y up. Nothing here panics on what somebody else wrote.
+
+pub mod bpt;
+pub mod gltf;
+pub mod obj;
+
+use thiserror::Error;
+
+use crate::geometry::MeshError;
+
+/// What is wrong with a foreign file.
+#[derive(Debug, Clone, PartialEq, Error)]
+pub enum FormatError {
+    /// A line of a text format cannot be understood.
+    #[error("line {line}: {message}")]
+    Line {
+        /// From 1.
+        line: usize,
+        /// What is there and what was expected.
+        message: String,
+    },
+    /// The file as a whole.
+    #[error("{0}")]
+    File(String),
+    /// Its triangles are none.
+    #[error("{0}")]
+    Mesh(#[from] MeshError),
+}
