@@ -52,9 +52,10 @@ pub fn read(bytes: &[u8], up: UpAxis) -> Result<Vec<BezierPatch>, FormatError> {
 fn assemble(patch: usize, indices: &[usize; 16], points: &[Vec3]) -> Result<BezierPatch, FormatError> {
     let mut corners = [Vec3::ZERO; 16];
     for (corner, index) in corners.iter_mut().zip(indices) {
-        *corner = *index.checked_sub(1).and_then(|i| points.get(i)).ok_or_else(|| {
-            FormatError::File(format!("patch {} names point {index}, 1 to {} expected", patch + 1, points.len()))
-        })?;
+        *corner = *index
+            .checked_sub(1)
+            .and_then(|i| points.get(i))
+            .ok_or_else(|| FormatError::File(format!("patch {} names point {index}, 1 to {} expected", patch + 1, points.len())))?;
     }
     Ok(BezierPatch { points: corners })
 }

@@ -4,7 +4,7 @@
 //! Corners without a normal get their face's, or inside a smoothing group (`s 1`) the mean of the faces around their vertex weighted by
 //! area; corners without texture coordinates get (0, 0). Lines, points, curves and groups are passed over.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 use glam::{Vec2, Vec3};
 
@@ -122,14 +122,21 @@ impl ObjFile {
     }
 
     // Sums of area vectors: by (group, position) for smooth corners, by face for the others.
-    fn missing_normals<'a>(&self, triangles: impl Iterator<Item = &'a Triangle>) -> (HashMap<(u32, u32), Vec3>, HashMap<u32, Vec3>) {
-        let (mut smooth, mut faceted) = (HashMap::new(), HashMap::new());
-        for t in triangles.filter(|t| t.corners.iter().any(|c| c.normal.is_none())) {
+    fn missing_normals<'a>(
+        &self,
+        triangles: impl Iterator<Item = &'a Triangle> + Clone,
+    ) -> (HashMap<(u32, u32), Vec3>, HashMap<u32, Vec3>) {
+        let wanting = triangles.filter(|t| t.corners.iter().any(|c| c.normal.is_none()));
+        let mut faceted = HashMap::new();
+        for t in wanting.clone() {
             let [a, b, c] = t.corners.map(|c| self.positions[c.position as usize]);
-            let area = (b - a).cross(c - a);
-            *faceted.entry(t.face).or_insert(Vec3::ZERO) += area;
-            for corner in t.corners {
-                *smooth.entry((t.smoothing, corner.position)).or_insert(Vec3::ZERO) += area;
+            *faceted.entry(t.face).or_insert(Vec3::ZERO) += (b - a).cross(c - a);
+        }
+        // A face counts once at each of its vertices, into however many triangles it was cut.
+        let (mut smooth, mut counted) = (HashMap::new(), HashSet::new());
+        for t in wanting {
+            for corner in t.corners.iter().filter(|c| counted.insert((t.face, c.position))) {
+                *smooth.entry((t.smoothing, corner.position)).or_insert(Vec3::ZERO) += faceted[&t.face];
             }
         }
         (smooth, faceted)
@@ -283,7 +290,8 @@ fn map_path(rest: &str) -> String {
 mod tests {
     use super::*;
 
-    const SQUARE: &str = "mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nusemtl red\nf 1/1 2/2 3/3 4/4\n";
+    const SQUARE: &str =
+        "mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nusemtl red\nf 1/1 2/2 3/3 4/4\n";
 
     #[test]
     fn a_polygon_becomes_a_fan_with_its_own_normal() {
@@ -335,13 +343,17 @@ mod tests {
 
     #[test]
     fn materials_keep_colour_map_and_emission() {
-        let mtl = "newmtl a b\n Kd 0.1 0.2 0.3\n map_Kd -s 2 2 -clamp on my wall.png # x\nKe 1 1 1\nmap_Ke -mm 0 0.4 screen.png\nnewmtl c\n";
+        let mtl =
+            "newmtl a b\n Kd 0.1 0.2 0.3\n map_Kd -s 2 2 -clamp on my wall.png # x\nKe 1 1 1\nmap_Ke -mm 0 0.4 screen.png\nnewmtl c\n";
         let materials = read_materials(mtl.as_bytes()).unwrap();
         assert_eq!(materials[0].name, "a b");
         assert_eq!(materials[0].diffuse, Vec3::new(0.1, 0.2, 0.3));
         assert_eq!(materials[0].diffuse_map.as_deref(), Some("my wall.png"));
         assert_eq!((materials[0].emission, materials[0].ignored_maps.clone()), (Vec3::ONE, vec!["map_Ke screen.png".to_owned()]));
         assert_eq!(materials[1], MtlMaterial::plain("c"));
-        assert_eq!(read_materials(b"newmtl a\nKd 1 1\n").unwrap_err().to_string(), r#"line 2: " 1 1", Kd r g b expected"#.replace("\" ", "\""));
+        assert_eq!(
+            read_materials(b"newmtl a\nKd 1 1\n").unwrap_err().to_string(),
+            r#"line 2: " 1 1", Kd r g b expected"#.replace("\" ", "\"")
+        );
     }
 }

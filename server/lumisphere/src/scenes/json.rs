@@ -48,21 +48,9 @@ impl<'a> Node<'a> {
         Self { file, place: String::from("scene"), value }
     }
 
-    pub fn place(&self) -> &str {
-        &self.place
-    }
-
     /// `file: place`, for errors that come from elsewhere.
     pub fn at(&self) -> String {
         format!("{} in {}", self.place, self.file)
-    }
-
-    pub fn is_null(&self) -> bool {
-        matches!(self.value, Json::Null)
-    }
-
-    pub fn is_map(&self) -> bool {
-        matches!(self.value, Json::Map(_))
     }
 
     pub fn is_list(&self) -> bool {

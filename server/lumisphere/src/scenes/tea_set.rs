@@ -67,6 +67,14 @@ mod tests {
     }
 
     #[test]
+    fn a_shipped_file_cut_off_anywhere_is_an_error() {
+        let whole = include_bytes!("../../data/geometry/teaspoon.bpt");
+        for length in (0..whole.len()).step_by(37).chain(whole.len() - 40..whole.len()) {
+            assert!(bpt::read(&whole[..length], UpAxis::Z).is_err(), "{length} bytes");
+        }
+    }
+
+    #[test]
     fn the_teapot_stands_upright_with_a_rim_three_across() {
         let (mesh, _) = tessellate(&patches(TeaSet::Teapot), Resolution::PerEdge(8)).unwrap();
         let (low, high) = mesh.bounds();

@@ -22,7 +22,7 @@ pub const MAX_STEPS: u32 = 256;
 
 /// The mesh (normals ∂u × ∂v, uv = the patch's) and which patch each triangle belongs to. Triangles that collapse (a lid's apex) are left out.
 pub fn tessellate(patches: &[BezierPatch], resolution: Resolution) -> Result<(TriangleMesh, Vec<u32>), MeshError> {
-    let steps = steps(patches, resolution);
+    let steps = resolution.steps(patches);
     let side = steps + 1;
     let (mut positions, mut normals, mut uvs, mut triangles) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
     for patch in patches {
@@ -48,23 +48,27 @@ pub fn tessellate(patches: &[BezierPatch], resolution: Resolution) -> Result<(Tr
     Ok((mesh, patch_of_triangle))
 }
 
-// Equal for all patches: the finest need decides.
-fn steps(patches: &[BezierPatch], resolution: Resolution) -> u32 {
-    let steps = match resolution {
-        Resolution::PerEdge(steps) => steps,
-        Resolution::MaxEdge(edge) => {
-            let longest = patches.iter().map(longest_line).fold(0.0, f32::max);
-            (longest / edge).ceil() as u32
-        }
-    };
-    steps.clamp(1, MAX_STEPS)
+impl Resolution {
+    /// Steps along each edge, equal for all patches: the finest need decides. At most `MAX_STEPS`.
+    pub fn steps(self, patches: &[BezierPatch]) -> u32 {
+        let steps = match self {
+            Self::PerEdge(steps) => steps,
+            Self::MaxEdge(edge) => {
+                let speed = patches.iter().map(greatest_speed).fold(0.0, f32::max);
+                (speed / edge).ceil() as u32
+            }
+        };
+        steps.clamp(1, MAX_STEPS)
+    }
 }
 
-// Longest row or column of the control net: above the length of every line of constant u or v, whose control net is a mean of these.
-// A cubic's speed may exceed its mean; three times its longest leg bounds it.
-fn longest_line(patch: &BezierPatch) -> f32 {
+// Bounds the speed |∂u|, |∂v| everywhere: a cubic's derivative is a mean of its control legs times three.
+fn greatest_speed(patch: &BezierPatch) -> f32 {
     let leg = |a: usize, b: usize| (patch.points[a] - patch.points[b]).length();
-    (0..4).flat_map(|i| (0..3).flat_map(move |j| [(4 * i + j, 4 * i + j + 1), (4 * j + i, 4 * j + i + 4)])).map(|(a, b)| 3.0 * leg(a, b)).fold(0.0, f32::max)
+    (0..4)
+        .flat_map(|i| (0..3).flat_map(move |j| [(4 * i + j, 4 * i + j + 1), (4 * j + i, 4 * j + i + 4)]))
+        .map(|(a, b)| 3.0 * leg(a, b))
+        .fold(0.0, f32::max)
 }
 
 // Bernstein polynomials at i/steps, mirrored exactly by i → steps − i.
