@@ -131,7 +131,7 @@ pub(super) fn decode<'a>(
 }
 
 /// Nearest f16 of each number, and how many finite ones had to be clamped.
-fn to_f16(values: &[f32]) -> (Vec<f16>, u64) {
+pub(super) fn to_f16(values: &[f32]) -> (Vec<f16>, u64) {
     let mut clamped = 0;
     let kept: Vec<f32> = values
         .iter()
