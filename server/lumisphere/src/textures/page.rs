@@ -150,11 +150,7 @@ impl Page {
         let mut texel = [0.0; 4];
         match &self.texels {
             Texels::F32(v) => texel[..channels].copy_from_slice(&v[first..first + channels]),
-            Texels::F16(v) => {
-                for (out, stored) in texel.iter_mut().zip(&v[first..first + channels]) {
-                    *out = stored.to_f32();
-                }
-            }
+            Texels::F16(v) => v[first..first + channels].convert_to_f32_slice(&mut texel[..channels]),
         }
         texel
     }
