@@ -1,0 +1,79 @@
+//! The command line's grammar: noun, then verb. Each command's own flags are beside its code in `commands`.
+
+use std::path::PathBuf;
+
+use clap::{Args, Parser, Subcommand};
+
+use crate::commands;
+
+/// Look at captured light from anywhere: datasets, jobs, frames and measurements of a Lumisphere server.
+///
+/// Results go to standard output, talk and progress to standard error.
+/// Exit codes: 0 ok, 1 failure, 2 usage, 3 not found, 4 denied, 5 unavailable, 6 job failed, 7 precondition, 130 interrupted.
+#[derive(Debug, Parser)]
+#[command(name = "lumisphere", version, max_term_width = 120)]
+pub struct Cli {
+    #[command(flatten)]
+    pub global: Global,
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+/// Flags that every command takes.
+#[derive(Debug, Clone, Args)]
+pub struct Global {
+    /// Server's address [default: `server` of the configuration file, else http://127.0.0.1:7443]
+    #[arg(long, global = true, value_name = "URL", env = "LUMISPHERE_SERVER")]
+    pub server: Option<String>,
+    /// Print JSON: one document, or one object a line where results come one by one; errors too
+    #[arg(long, global = true)]
+    pub json: bool,
+    /// Longest time for one request; for watching, downloading and uploading, for the whole [default: 120 for a request, else none]
+    #[arg(long, global = true, value_name = "SECONDS", env = "LUMISPHERE_TIMEOUT_SECONDS")]
+    pub timeout_seconds: Option<f64>,
+    /// No progress and no talk
+    #[arg(long, short, global = true)]
+    pub quiet: bool,
+    /// Configuration file (TOML: server, timeout_seconds) [default: ~/.config/lumisphere/client.toml, if there]
+    #[arg(long, global = true, value_name = "FILE", env = "LUMISPHERE_CLIENT_CONFIG")]
+    pub config: Option<PathBuf>,
+}
+
+/// Nouns.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Stored, versioned light
+    #[command(subcommand)]
+    Dataset(commands::dataset::Command),
+    /// Bytes named by their BLAKE3: what scenes are uploaded as and job results are
+    #[command(subcommand)]
+    Blob(commands::blob::Command),
+    /// Long work: capture, evaluate, render a path
+    #[command(subcommand)]
+    Job(commands::job::Command),
+    /// Render frames into a folder
+    Render(Box<commands::render::Arguments>),
+    /// Compare frames with path-traced truth at held-out poses and print the errors
+    Evaluate(Box<commands::evaluate::Arguments>),
+    /// The server's texture cache
+    #[command(subcommand)]
+    Cache(commands::cache::Command),
+    /// The server itself
+    #[command(subcommand)]
+    System(commands::system::Command),
+    /// Print a completion script for a shell
+    Completions {
+        /// Which shell
+        shell: clap_complete::Shell,
+    },
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory;
+
+    #[test]
+    fn the_grammar_is_consistent() {
+        super::Cli::command().debug_assert();
+    }
+}

@@ -1,0 +1,221 @@
+//! `lumisphere evaluate`: submits the job, waits, prints the table, fetches the pictures.
+
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+use lumisphere_proto::v1alpha1 as wire;
+use serde::Deserialize;
+use serde_json::{Value, json};
+use wire::job_spec::Spec;
+
+use super::job::{camera_list, download_results, submit};
+use super::watch::{Events, watch};
+use crate::cameras::{CameraFlags, Views, parse_vec3};
+use crate::context::Context;
+use crate::files::{Existing, prepare_folder};
+use crate::output::table;
+use crate::render_settings::{Backend, Blend, Component, settings};
+
+/// What to evaluate.
+#[derive(Debug, Args)]
+pub struct EvaluateFlags {
+    /// Dataset to evaluate
+    #[arg(long, value_name = "NAME")]
+    dataset: String,
+    /// Which version [default: the latest]
+    #[arg(long, default_value_t = 0, hide_default_value = true)]
+    version: u64,
+    #[command(flatten)]
+    cameras: CameraFlags,
+    /// Terms to evaluate, separated by commas
+    #[arg(long, value_enum, value_delimiter = ',', default_value = "reconstruction,mirror")]
+    components: Vec<Component>,
+    /// Blends to evaluate for mirror and full, separated by commas
+    #[arg(long, value_delimiter = ',', default_value = "distance,angle,average,reflection:4,normal:4,environment-map")]
+    blends: Vec<Blend>,
+    /// Specular reflectance, each in 0 to 1
+    #[arg(long, value_name = "R,G,B", value_parser = parse_vec3, default_value = "1,1,1")]
+    specular: [f32; 3],
+    /// Where to compute
+    #[arg(long, value_enum, default_value = "auto")]
+    backend: Backend,
+    /// What mirror and full are compared with, separated by commas
+    #[arg(long, value_enum, value_delimiter = ',', default_value = "one-reflection")]
+    truths: Vec<Truth>,
+    /// Paths per pixel of the truth [default: 256]
+    #[arg(long, value_name = "N", default_value_t = 0, hide_default_value = true)]
+    truth_samples_per_pixel: u32,
+    /// Surface interactions of the truth's paths [default: as captured]
+    #[arg(long, value_name = "N", default_value_t = 0, hide_default_value = true)]
+    max_bounces: u32,
+    /// Of the truth's random numbers
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+}
+
+/// What is true.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Truth {
+    /// One mirror reflection over the diffuse scene
+    OneReflection,
+    /// The object is a mirror and sees itself as one
+    PhysicalMirror,
+}
+
+/// Flags of `evaluate`.
+#[derive(Debug, Args)]
+pub struct Arguments {
+    #[command(flatten)]
+    evaluate: EvaluateFlags,
+    /// Fetch frames, truths and per-pixel error images into this folder
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Overwrite files
+    #[arg(long)]
+    force: bool,
+}
+
+impl EvaluateFlags {
+    /// The wire's form.
+    pub fn to_wire(&self) -> anyhow::Result<wire::EvaluateSpec> {
+        let views = match self.cameras.views()? {
+            Views::Orbit(orbit) => wire::evaluate_spec::Views::Orbit(orbit),
+            Views::Cameras(cameras) => wire::evaluate_spec::Views::Cameras(camera_list(cameras)),
+        };
+        let truth = |t: &Truth| match t {
+            Truth::OneReflection => wire::Truth::OneReflection.into(),
+            Truth::PhysicalMirror => wire::Truth::PhysicalMirror.into(),
+        };
+        Ok(wire::EvaluateSpec {
+            dataset: self.dataset.clone(),
+            version: self.version,
+            views: Some(views),
+            truth_samples_per_pixel: self.truth_samples_per_pixel,
+            settings: self.settings(),
+            truths: self.truths.iter().map(truth).collect(),
+            seed: self.seed,
+            max_bounces: self.max_bounces,
+        })
+    }
+
+    /// Reconstruction has no blend, so it is evaluated once.
+    fn settings(&self) -> Vec<wire::RenderSettings> {
+        let one = |component, blend| settings(component, blend, self.specular, self.backend);
+        let of = |&component: &Component| match component {
+            Component::Reconstruction => vec![one(component, Blend::Distance)],
+            Component::Mirror | Component::Full => self.blends.iter().map(|&blend| one(component, blend)).collect(),
+        };
+        self.components.iter().flat_map(of).collect()
+    }
+}
+
+/// Evaluates and prints.
+pub async fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<()> {
+    let spec = arguments.evaluate.to_wire()?;
+    let existing = Existing::from_force(arguments.force);
+    if let Some(out) = &arguments.out {
+        prepare_folder(out, [], existing)?;
+    }
+    let server = context.connect().await?;
+    let job = submit(context, &server, Spec::Evaluate(spec), String::new()).await?;
+    context.output.say(&format!("submitted {}", job.name));
+    let job = watch(context, &server, &job.name, Events::Show).await?;
+    let files = match &arguments.out {
+        Some(out) => download_results(context, &server, &job, out, existing).await?,
+        None => Vec::new(),
+    };
+    let summary: Value = serde_json::from_str(&job.result.unwrap_or_default().summary_json).unwrap_or(Value::Null);
+    let document = json!({"job": job.name, "summary": summary, "out": arguments.out, "files": files});
+    context.output.document(&document, || {
+        let mut text = summary_text(&summary);
+        if let Some(out) = &arguments.out {
+            text.push_str(&format!("\n\n{} files in {}", files.len(), out.display()));
+        }
+        text
+    })?;
+    Ok(())
+}
+
+/// One row of the job's summary (`lumisphere::evaluate::Row` as JSON); a figure that the server does not give is shown as "-".
+#[derive(Debug, Deserialize)]
+struct Row {
+    component: String,
+    #[serde(default)]
+    blend: Option<String>,
+    #[serde(default)]
+    exponent: Option<f64>,
+    #[serde(default)]
+    truth: Option<String>,
+    #[serde(default)]
+    rmse_rgb: Vec<Option<f64>>,
+    #[serde(default)]
+    rmse_lab: Vec<Option<f64>>,
+    #[serde(default)]
+    psnr_db: Option<f64>,
+    #[serde(default)]
+    ssim: Option<f64>,
+    #[serde(default)]
+    flip_mean: Option<f64>,
+    #[serde(default)]
+    delta_e_2000_mean: Option<f64>,
+    #[serde(default)]
+    delta_e_2000_p95: Option<f64>,
+    #[serde(default)]
+    millis_per_frame: Option<f64>,
+}
+
+const HEAD: [&str; 15] =
+    ["COMPONENT", "BLEND", "TRUTH", "R", "G", "B", "L*", "a*", "b*", "PSNR", "SSIM", "FLIP", "dE00", "dE00 p95", "ms/frame"];
+
+/// The table of errors: RMSE in linear RGB and in L*a*b*, PSNR (dB), SSIM, FLIP, CIEDE2000.
+fn summary_text(summary: &Value) -> String {
+    let rows: Vec<Row> = summary["rows"].as_array().into_iter().flatten().filter_map(|r| serde_json::from_value(r.clone()).ok()).collect();
+    if rows.is_empty() {
+        return format!("{summary:#}");
+    }
+    let cells: Vec<Vec<String>> = std::iter::once(HEAD.map(String::from).to_vec()).chain(rows.iter().map(Row::cells)).collect();
+    table(&cells, &(3..HEAD.len()).collect::<Vec<_>>())
+}
+
+impl Row {
+    fn cells(&self) -> Vec<String> {
+        let blend = match (&self.blend, self.exponent) {
+            (Some(blend), Some(n)) => format!("{blend}({n})"),
+            (Some(blend), None) => blend.clone(),
+            (None, _) => "-".into(),
+        };
+        let number = |value: Option<f64>, digits: usize| value.map_or("-".to_string(), |v| format!("{v:.digits$}"));
+        let nth = |values: &[Option<f64>], i: usize| number(values.get(i).copied().flatten(), 5);
+        let mut cells = vec![self.component.clone(), blend, self.truth.clone().unwrap_or_else(|| "-".into())];
+        cells.extend((0..3).map(|i| nth(&self.rmse_rgb, i)));
+        cells.extend((0..3).map(|i| nth(&self.rmse_lab, i)));
+        let figures = [
+            (self.psnr_db, 2),
+            (self.ssim, 4),
+            (self.flip_mean, 4),
+            (self.delta_e_2000_mean, 3),
+            (self.delta_e_2000_p95, 3),
+            (self.millis_per_frame, 1),
+        ];
+        cells.extend(figures.map(|(value, digits)| number(value, digits)));
+        cells
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_table_has_a_line_a_row_and_says_what_is_missing() {
+        let summary = json!({"rows": [
+            {"component": "reconstruction", "blend": null, "rmse_rgb": [0.001, 0.002, 0.003], "psnr_db": 50.0},
+            {"component": "mirror", "blend": "normal", "exponent": 4.0, "truth": "one_reflection", "ssim": 0.5},
+        ]});
+        let text = summary_text(&summary);
+        let lines: Vec<&str> = text.lines().collect();
+        assert_eq!(lines.len(), 3);
+        assert!(lines[1].contains("0.00200") && lines[1].contains("50.00") && lines[1].contains('-'), "{text}");
+        assert!(lines[2].contains("normal(4)") && lines[2].contains("0.5000"), "{text}");
+    }
+}

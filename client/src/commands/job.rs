@@ -1,0 +1,334 @@
+//! `lumisphere job …`.
+
+use std::path::PathBuf;
+
+use clap::{Args, Subcommand, ValueEnum};
+use lumisphere_proto::v1alpha1 as wire;
+use serde_json::json;
+use wire::job_spec::Spec;
+
+use super::dataset::PAGE_SIZE;
+use super::download::{Wanted, download};
+use super::evaluate::EvaluateFlags;
+use super::watch::{Events, watch};
+use crate::cameras::{CameraFlags, Views};
+use crate::context::{Context, Server};
+use crate::exit::Failure;
+use crate::files::{Existing, prepare_folder, safe_name};
+use crate::output::{bytes_text, table};
+use crate::progress::Meter;
+use crate::render_settings::{OutputFlags, SettingsFlags};
+use crate::scene_source::{self, SceneFlags};
+use crate::views;
+
+/// Verbs.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Queue a job
+    #[command(subcommand)]
+    Submit(Submit),
+    /// All jobs, newest first
+    List,
+    /// One job
+    Get {
+        /// Its name
+        name: String,
+    },
+    /// Ask a job to stop
+    Cancel {
+        /// Its name
+        name: String,
+    },
+    /// Follow a job until it ends; with --json an object a line
+    Watch {
+        /// Its name
+        name: String,
+    },
+    /// Fetch what a job made
+    Download {
+        /// Its name
+        name: String,
+        /// Into this folder
+        #[arg(long, value_name = "DIR")]
+        out: PathBuf,
+        /// Overwrite files
+        #[arg(long)]
+        force: bool,
+    },
+}
+
+/// What can be queued.
+#[derive(Debug, Subcommand)]
+pub enum Submit {
+    /// Trace cube maps around an object of a scene and publish them as a version of a dataset
+    Capture(Box<CaptureArguments>),
+    /// Compare frames with path-traced truth at held-out poses
+    Evaluate(Box<EvaluateArguments>),
+    /// Render a frame a camera; the frames are the job's results
+    PathRender(Box<PathRenderArguments>),
+}
+
+/// Flags of every submission.
+#[derive(Debug, Clone, Args)]
+pub struct SubmitFlags {
+    /// Follow the job until it ends
+    #[arg(long)]
+    watch: bool,
+    /// Repeating a submission with the same ID answers with the first job
+    #[arg(long, value_name = "ID", default_value = "", hide_default_value = true)]
+    request_id: String,
+}
+
+/// Flags of `submit capture`; what is not given is the server's default.
+#[derive(Debug, Args)]
+pub struct CaptureArguments {
+    #[command(flatten)]
+    scene: SceneFlags,
+    /// Which object of the scene
+    #[arg(long, value_name = "NAME")]
+    object: String,
+    /// Dataset to add a version to; created when there is none
+    #[arg(long, value_name = "NAME")]
+    dataset: String,
+    /// How far sample points are off the surface, scene units [default: 0.02 × the object's radius]
+    #[arg(long, value_name = "LENGTH")]
+    epsilon: Option<f32>,
+    /// Distance between neighbouring sample points, scene units
+    #[arg(long, value_name = "LENGTH", conflicts_with = "points")]
+    spacing: Option<f32>,
+    /// About how many sample points, 4 to 65535 [default: 1000]
+    #[arg(long, value_name = "N")]
+    points: Option<u32>,
+    /// Texels along a cube-map face's edge: 16 to 1024, a multiple of 16 [default: 128]
+    #[arg(long, value_name = "N")]
+    face_size_texels: Option<u32>,
+    /// Paths per texel [default: 64]
+    #[arg(long, value_name = "N")]
+    samples_per_texel: Option<u32>,
+    /// Surface interactions of a path, 1 (direct light) to 64 [default: 8]
+    #[arg(long, value_name = "N")]
+    max_bounces: Option<u32>,
+    /// Texels along the edge of a sample map, 16 to 1024 [default: 256]
+    #[arg(long, value_name = "N")]
+    sample_map_size_texels: Option<u32>,
+    /// Of stored pages
+    #[arg(long, value_enum, default_value = "f16")]
+    pixel_format: PixelFormat,
+    /// Of the random numbers
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    #[command(flatten)]
+    submit: SubmitFlags,
+}
+
+/// How stored pages hold numbers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum PixelFormat {
+    /// Half precision
+    F16,
+    /// As traced, lossless
+    F32,
+}
+
+/// Flags of `submit evaluate`.
+#[derive(Debug, Args)]
+pub struct EvaluateArguments {
+    #[command(flatten)]
+    evaluate: EvaluateFlags,
+    #[command(flatten)]
+    submit: SubmitFlags,
+}
+
+/// Flags of `submit path-render`.
+#[derive(Debug, Args)]
+pub struct PathRenderArguments {
+    /// Dataset to render
+    #[arg(long, value_name = "NAME")]
+    dataset: String,
+    /// Which version [default: the latest]
+    #[arg(long, default_value_t = 0, hide_default_value = true)]
+    version: u64,
+    #[command(flatten)]
+    cameras: CameraFlags,
+    #[command(flatten)]
+    settings: SettingsFlags,
+    #[command(flatten)]
+    output: OutputFlags,
+    #[command(flatten)]
+    submit: SubmitFlags,
+}
+
+/// Runs one.
+pub async fn run(command: Command, context: &Context) -> anyhow::Result<()> {
+    match command {
+        Command::Submit(Submit::Capture(arguments)) => submit_capture(context, &arguments).await,
+        Command::Submit(Submit::Evaluate(arguments)) => {
+            let server = context.connect().await?;
+            let spec = Spec::Evaluate(arguments.evaluate.to_wire()?);
+            submit_and_tell(context, &server, spec, &arguments.submit).await
+        }
+        Command::Submit(Submit::PathRender(arguments)) => submit_path_render(context, &arguments).await,
+        Command::List => list(context).await,
+        Command::Get { name } => {
+            let mut client = context.connect().await?.jobs();
+            print_job(context, client.get_job(context.request(wire::GetJobRequest { name })).await?.into_inner())
+        }
+        Command::Cancel { name } => {
+            let mut client = context.connect().await?.jobs();
+            print_job(context, client.cancel_job(context.request(wire::CancelJobRequest { name })).await?.into_inner())
+        }
+        Command::Watch { name } => {
+            let server = context.connect().await?;
+            let job = watch(context, &server, &name, Events::Print).await?;
+            if context.output.is_json() { Ok(()) } else { print_job(context, job) }
+        }
+        Command::Download { name, out, force } => {
+            let server = context.connect().await?;
+            let job = server.jobs().get_job(context.request(wire::GetJobRequest { name })).await?.into_inner();
+            let files = download_results(context, &server, &job, &out, Existing::from_force(force)).await?;
+            let document = json!({"job": job.name, "out": out, "files": files});
+            context.output.document(&document, || format!("{} files in {}", files.len(), out.display()))?;
+            Ok(())
+        }
+    }
+}
+
+async fn submit_capture(context: &Context, arguments: &CaptureArguments) -> anyhow::Result<()> {
+    let server = context.connect().await?;
+    let scene = scene_source::to_wire(context, &mut server.datasets(), &arguments.scene).await?;
+    let spacing = arguments.spacing.map(wire::capture_spec::Density::Spacing);
+    let points = arguments.points.map(wire::capture_spec::Density::SamplePoints);
+    let pixel_format = match arguments.pixel_format {
+        PixelFormat::F16 => wire::PixelFormat::F16,
+        PixelFormat::F32 => wire::PixelFormat::F32,
+    };
+    // Zero is the wire's "as the server does by default"; somebody who says 0 means 0, which is never valid.
+    let given = |value: Option<u32>, flag: &str| match value {
+        Some(0) => Err(Failure::Usage(format!("--{flag} is 0, at least 1 expected"))),
+        other => Ok(other.unwrap_or(0)),
+    };
+    if arguments.epsilon.is_some_and(|e| !(e > 0.0)) {
+        return Err(Failure::Usage("--epsilon must be positive".into()).into());
+    }
+    let spec = wire::CaptureSpec {
+        scene: Some(scene),
+        object: arguments.object.clone(),
+        dataset: arguments.dataset.clone(),
+        offset: arguments.epsilon.unwrap_or(0.0),
+        density: spacing.or(points),
+        face_size_texels: given(arguments.face_size_texels, "face-size-texels")?,
+        samples_per_texel: given(arguments.samples_per_texel, "samples-per-texel")?,
+        max_bounces: given(arguments.max_bounces, "max-bounces")?,
+        sample_map_size_texels: given(arguments.sample_map_size_texels, "sample-map-size-texels")?,
+        pixel_format: pixel_format.into(),
+        seed: arguments.seed,
+    };
+    submit_and_tell(context, &server, Spec::Capture(spec), &arguments.submit).await
+}
+
+async fn submit_path_render(context: &Context, arguments: &PathRenderArguments) -> anyhow::Result<()> {
+    let server = context.connect().await?;
+    let views = match arguments.cameras.views()? {
+        Views::Orbit(orbit) => wire::path_render_spec::Views::Orbit(orbit),
+        Views::Cameras(cameras) => wire::path_render_spec::Views::Cameras(camera_list(cameras)),
+    };
+    let spec = wire::PathRenderSpec {
+        dataset: arguments.dataset.clone(),
+        version: arguments.version,
+        views: Some(views),
+        settings: Some(arguments.settings.to_wire()),
+        output: Some(arguments.output.to_wire()),
+    };
+    submit_and_tell(context, &server, Spec::PathRender(spec), &arguments.submit).await
+}
+
+/// Names stay here; the wire numbers its cameras.
+pub fn camera_list(cameras: Vec<(String, wire::Camera)>) -> wire::CameraList {
+    wire::CameraList { cameras: cameras.into_iter().map(|(_, camera)| camera).collect() }
+}
+
+async fn submit_and_tell(context: &Context, server: &Server, spec: Spec, flags: &SubmitFlags) -> anyhow::Result<()> {
+    let job = submit(context, server, spec, flags.request_id.clone()).await?;
+    if !flags.watch {
+        return print_job(context, job);
+    }
+    context.output.say(&format!("submitted {}", job.name));
+    print_job(context, watch(context, server, &job.name, Events::Show).await?)
+}
+
+/// Queues a job.
+pub async fn submit(context: &Context, server: &Server, spec: Spec, request_id: String) -> anyhow::Result<wire::Job> {
+    let request = wire::SubmitJobRequest { spec: Some(wire::JobSpec { spec: Some(spec) }), request_id };
+    Ok(server.jobs().submit_job(context.request(request)).await?.into_inner())
+}
+
+async fn list(context: &Context) -> anyhow::Result<()> {
+    let mut client = context.connect().await?.jobs();
+    let mut jobs: Vec<views::Job> = Vec::new();
+    let mut page_token = String::new();
+    loop {
+        let page = client.list_jobs(context.request(wire::ListJobsRequest { page_size: PAGE_SIZE, page_token })).await?.into_inner();
+        jobs.extend(page.jobs.into_iter().map(views::Job::from));
+        page_token = page.next_page_token;
+        if page_token.is_empty() {
+            break;
+        }
+    }
+    context.output.document(&json!({"jobs": jobs}), || {
+        let head = ["NAME", "KIND", "DATASET", "STATE", "DONE", "CREATED"].map(String::from).to_vec();
+        let row = |j: &views::Job| {
+            let done = j.progress.as_ref().map(|p| format!("{:.0} %", 100.0 * p.fraction)).unwrap_or_default();
+            vec![j.name.clone(), j.kind.into(), j.dataset.clone(), j.state.clone(), done, j.create_time.clone().unwrap_or_default()]
+        };
+        table(&std::iter::once(head).chain(jobs.iter().map(row)).collect::<Vec<_>>(), &[4])
+    })?;
+    Ok(())
+}
+
+fn print_job(context: &Context, job: wire::Job) -> anyhow::Result<()> {
+    let job = views::Job::from(job);
+    context.output.document(&job, || job_text(&job))?;
+    Ok(())
+}
+
+fn job_text(job: &views::Job) -> String {
+    let mut text = format!("{}  {}  {}  {}", job.name, job.kind, job.dataset, job.state);
+    if let Some(p) = job.progress.as_ref().filter(|p| !p.stage.is_empty() && job.result.is_none()) {
+        text.push_str(&format!("\n{}: {}/{}", p.stage, p.done, p.total));
+    }
+    if let Some(error) = &job.error {
+        text.push_str(&format!("\n{} ({})", error.message, error.reason));
+    }
+    if let Some(result) = &job.result {
+        if !result.dataset.is_empty() {
+            text.push_str(&format!("\ndataset {} version {}", result.dataset, result.dataset_version));
+        }
+        for blob in &result.blobs {
+            text.push_str(&format!("\n{}  {}", blob.name, bytes_text(blob.size_bytes)));
+        }
+    }
+    text
+}
+
+/// Fetches the job's blobs into the folder and returns their names.
+pub async fn download_results(
+    context: &Context,
+    server: &Server,
+    job: &wire::Job,
+    out: &std::path::Path,
+    existing: Existing,
+) -> anyhow::Result<Vec<String>> {
+    let result = job.result.as_ref().ok_or_else(|| {
+        Failure::Precondition(format!("{} is {}; only a job that succeeded has results", job.name, views::state_name(job.state())))
+    })?;
+    let names = result.blobs.iter().map(|b| safe_name(&b.name).map(String::from)).collect::<anyhow::Result<Vec<_>>>()?;
+    prepare_folder(out, names.iter().cloned(), existing)?;
+    let mut client = server.datasets();
+    let mut meter = Meter::new(context.output);
+    for (blob, name) in result.blobs.iter().zip(&names) {
+        let wanted = Wanted { blake3: &blob.blake3, dataset: None, label: name };
+        download(context, &mut client, &wanted, &out.join(name), existing, &mut meter).await?;
+    }
+    meter.finish();
+    Ok(names)
+}

@@ -1,0 +1,204 @@
+//! What to compute and how to return it: flags and the wire's form of them.
+
+use clap::{Args, ValueEnum};
+use lumisphere_proto::v1alpha1 as wire;
+use wire::offset_surface_light_field_settings::{Blend as WireBlend, Component as WireComponent};
+
+use crate::cameras::parse_vec3;
+
+/// What to compute.
+#[derive(Debug, Clone, Args)]
+pub struct SettingsFlags {
+    /// Which term of reconstruction + specular · mirror
+    #[arg(long, value_enum, default_value = "reconstruction")]
+    pub component: Component,
+    /// Weights of mirror and full: distance, angle, average, reflection:N, normal:N or environment-map
+    #[arg(long, default_value = "normal:4")]
+    pub blend: Blend,
+    /// Specular reflectance, each in 0 to 1
+    #[arg(long, value_name = "R,G,B", value_parser = parse_vec3, default_value = "1,1,1")]
+    pub specular: [f32; 3],
+    /// Where to compute
+    #[arg(long, value_enum, default_value = "auto")]
+    pub backend: Backend,
+}
+
+/// Terms.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Component {
+    /// The object as captured (diffuse)
+    Reconstruction,
+    /// The mirror reflection alone
+    Mirror,
+    /// Both
+    Full,
+}
+
+/// Where to compute.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Backend {
+    /// The GPU if there is one
+    Auto,
+    /// The graphics adapter
+    Gpu,
+    /// The readable reference
+    Cpu,
+}
+
+/// How the four sample points' reflections are weighted.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Blend {
+    /// The nearest.
+    Distance,
+    /// The one toward the mirror direction.
+    Angle,
+    /// Equal.
+    Average,
+    /// By max(r · ŝ, 0)^N.
+    Reflection(f32),
+    /// By max(n · ŝ, 0)^N.
+    Normal(f32),
+    /// The baseline.
+    EnvironmentMap,
+}
+
+impl std::str::FromStr for Blend {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let exponent = |text: &str| text.parse::<f32>().ok().filter(|n| (0.0..=10_000.0).contains(n));
+        let blend = match text.split_once(':') {
+            None => match text {
+                "distance" => Some(Self::Distance),
+                "angle" => Some(Self::Angle),
+                "average" => Some(Self::Average),
+                "reflection" => Some(Self::Reflection(4.0)),
+                "normal" => Some(Self::Normal(4.0)),
+                "environment-map" => Some(Self::EnvironmentMap),
+                _ => None,
+            },
+            Some(("reflection", n)) => exponent(n).map(Self::Reflection),
+            Some(("normal", n)) => exponent(n).map(Self::Normal),
+            Some(_) => None,
+        };
+        blend.ok_or_else(|| "distance, angle, average, reflection:N, normal:N (N 0 to 10000) or environment-map expected".to_string())
+    }
+}
+
+impl SettingsFlags {
+    /// The wire's form.
+    pub fn to_wire(&self) -> wire::RenderSettings {
+        settings(self.component, self.blend, self.specular, self.backend)
+    }
+}
+
+/// The wire's form.
+pub fn settings(component: Component, blend: Blend, specular: [f32; 3], backend: Backend) -> wire::RenderSettings {
+    let (blend, exponent) = match blend {
+        Blend::Distance => (WireBlend::Distance, None),
+        Blend::Angle => (WireBlend::Angle, None),
+        Blend::Average => (WireBlend::Average, None),
+        Blend::Reflection(n) => (WireBlend::Reflection, Some(n)),
+        Blend::Normal(n) => (WireBlend::Normal, Some(n)),
+        Blend::EnvironmentMap => (WireBlend::EnvironmentMap, None),
+    };
+    let component = match component {
+        Component::Reconstruction => WireComponent::Reconstruction,
+        Component::Mirror => WireComponent::Mirror,
+        Component::Full => WireComponent::Full,
+    };
+    let backend = match backend {
+        Backend::Auto => wire::Backend::Unspecified,
+        Backend::Gpu => wire::Backend::Gpu,
+        Backend::Cpu => wire::Backend::Cpu,
+    };
+    let [x, y, z] = specular;
+    let settings = wire::OffsetSurfaceLightFieldSettings {
+        component: component.into(),
+        blend: blend.into(),
+        exponent,
+        specular_reflectance: Some(wire::Vector3 { x, y, z }),
+    };
+    wire::RenderSettings {
+        representation: Some(wire::render_settings::Representation::OffsetSurfaceLightField(settings)),
+        backend: backend.into(),
+    }
+}
+
+/// How frames are returned.
+#[derive(Debug, Clone, Args)]
+pub struct OutputFlags {
+    /// Format of the frames; raw is zstd over rows of R G B little-endian f32
+    #[arg(long, value_enum, default_value = "png")]
+    pub format: Format,
+    /// JPEG quality, 1 to 100
+    #[arg(long, value_name = "QUALITY", default_value_t = 90, value_parser = clap::value_parser!(u32).range(1..=100))]
+    pub jpeg_quality: u32,
+    /// PNG and JPEG show radiance · 2^STOPS
+    #[arg(long, value_name = "STOPS", default_value_t = 0.0, allow_negative_numbers = true)]
+    pub exposure_stops: f32,
+    /// Also write each pixel's distance (.depth.zst)
+    #[arg(long)]
+    pub depth: bool,
+    /// Also write each pixel's sample and state (.provenance.zst)
+    #[arg(long)]
+    pub provenance: bool,
+}
+
+/// Formats of frames.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Format {
+    /// Linear, lossless
+    Exr,
+    /// 8-bit sRGB
+    Png,
+    /// 8-bit sRGB, lossy
+    Jpeg,
+    /// Linear, lossless, bare
+    Raw,
+}
+
+impl Format {
+    /// Of the files, without dot.
+    pub fn extension(self) -> &'static str {
+        match self {
+            Self::Exr => "exr",
+            Self::Png => "png",
+            Self::Jpeg => "jpg",
+            Self::Raw => "raw.zst",
+        }
+    }
+}
+
+impl OutputFlags {
+    /// The wire's form.
+    pub fn to_wire(&self) -> wire::OutputSettings {
+        let encoding = match self.format {
+            Format::Exr => wire::Encoding::Exr,
+            Format::Png => wire::Encoding::Png,
+            Format::Jpeg => wire::Encoding::Jpeg,
+            Format::Raw => wire::Encoding::RawZstd,
+        };
+        wire::OutputSettings {
+            encoding: encoding.into(),
+            jpeg_quality: self.jpeg_quality,
+            exposure_stops: self.exposure_stops,
+            want_depth: self.depth,
+            want_provenance: self.provenance,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn blends_are_parsed_with_their_exponents() {
+        assert_eq!("reflection:16".parse(), Ok(Blend::Reflection(16.0)));
+        assert_eq!("normal".parse(), Ok(Blend::Normal(4.0)));
+        for bad in ["reflection:-1", "reflection:NaN", "reflection:", "distance:3", "nearest"] {
+            assert!(bad.parse::<Blend>().is_err(), "{bad}");
+        }
+    }
+}

@@ -1,0 +1,355 @@
+//! The JSON objects of `--json`: stable, documented in `docs/command-line.md`, independent of the wire's generated types.
+
+use lumisphere_proto::v1alpha1 as wire;
+use prost_types::Timestamp;
+use serde::Serialize;
+use serde_json::Value;
+
+use crate::exit::code_name;
+
+/// `dataset get`, and the elements of `dataset list`.
+#[derive(Debug, Serialize)]
+pub struct Dataset {
+    /// Unique.
+    pub name: String,
+    /// What is stored.
+    pub kind: String,
+    /// 0: none yet.
+    pub latest_version: u64,
+    /// RFC 3339.
+    pub create_time: Option<String>,
+    /// Ascending.
+    pub versions: Vec<DatasetVersion>,
+}
+
+/// One immutable version.
+#[derive(Debug, Serialize)]
+pub struct DatasetVersion {
+    /// From 1.
+    pub version: u64,
+    /// RFC 3339.
+    pub create_time: Option<String>,
+    /// On disk.
+    pub size_bytes: u64,
+    /// Texture pages.
+    pub page_count: u64,
+    /// As captured; null when the server's JSON is unreadable.
+    pub parameters: Value,
+    /// World space.
+    pub object_bounds: Option<Bounds>,
+}
+
+/// World-space box.
+#[derive(Debug, Serialize)]
+pub struct Bounds {
+    /// Least corner.
+    pub min: [f32; 3],
+    /// Greatest corner.
+    pub max: [f32; 3],
+}
+
+/// `dataset files`.
+#[derive(Debug, Serialize)]
+pub struct DatasetFile {
+    /// "manifest", "segment" or "blob".
+    pub role: &'static str,
+    /// Within the version.
+    pub name: String,
+    /// Of its bytes.
+    pub blake3: String,
+    /// Bytes.
+    pub size_bytes: u64,
+}
+
+/// `job get`, and the elements of `job list`.
+#[derive(Debug, Serialize)]
+pub struct Job {
+    /// Given by the server.
+    pub name: String,
+    /// "capture", "evaluate" or "path_render".
+    pub kind: &'static str,
+    /// Which dataset it writes or reads.
+    pub dataset: String,
+    /// "PENDING", "RUNNING", …
+    pub state: String,
+    /// RFC 3339.
+    pub create_time: Option<String>,
+    /// RFC 3339.
+    pub start_time: Option<String>,
+    /// RFC 3339.
+    pub end_time: Option<String>,
+    /// How often it was started.
+    pub attempt: u32,
+    /// Null before it runs.
+    pub progress: Option<JobProgress>,
+    /// Null unless it failed or was cancelled.
+    pub error: Option<JobError>,
+    /// Null unless it succeeded.
+    pub result: Option<JobResult>,
+}
+
+/// How far a job is.
+#[derive(Debug, Serialize)]
+pub struct JobProgress {
+    /// What it does now.
+    pub stage: String,
+    /// Pieces.
+    pub done: u64,
+    /// Pieces.
+    pub total: u64,
+    /// 0 to 1.
+    pub fraction: f64,
+    /// Of this stage.
+    pub seconds_left: Option<f64>,
+}
+
+/// Why a job did not succeed.
+#[derive(Debug, Serialize)]
+pub struct JobError {
+    /// "DATA_LOSS", …
+    pub code: &'static str,
+    /// "DISK_FULL", …
+    pub reason: String,
+    /// For people.
+    pub message: String,
+}
+
+/// What a job made.
+#[derive(Debug, Serialize)]
+pub struct JobResult {
+    /// Of a capture.
+    pub dataset: String,
+    /// Of a capture; 0 otherwise.
+    pub dataset_version: u64,
+    /// Named bytes.
+    pub blobs: Vec<ResultBlob>,
+    /// The job's figures.
+    pub summary: Value,
+}
+
+/// Named bytes.
+#[derive(Debug, Serialize)]
+pub struct ResultBlob {
+    /// Unique within the job.
+    pub name: String,
+    /// "image/png", …
+    pub media_type: String,
+    /// Of its bytes.
+    pub blake3: String,
+    /// Bytes.
+    pub size_bytes: u64,
+}
+
+/// One event of `job watch`.
+#[derive(Debug, Serialize)]
+pub struct JobEvent {
+    /// Increases.
+    pub sequence: u64,
+    /// RFC 3339.
+    pub time: Option<String>,
+    /// The whole job.
+    pub job: Job,
+}
+
+/// One frame of `render`.
+#[derive(Debug, Serialize)]
+pub struct Frame {
+    /// Position in the sequence.
+    pub index: usize,
+    /// The camera's name.
+    pub camera: String,
+    /// Where the picture is.
+    pub file: String,
+    /// The version shown.
+    pub dataset_version: u64,
+    /// Along a row.
+    pub width_px: u32,
+    /// Rows.
+    pub height_px: u32,
+    /// Of the picture.
+    pub size_bytes: usize,
+    /// "gpu" or "cpu".
+    pub backend: &'static str,
+    /// Its name; empty on the CPU.
+    pub adapter: String,
+    /// No better frame follows.
+    pub is_final: bool,
+    /// From request to answer, as seen here.
+    pub round_trip_millis: f64,
+    /// Inside the server.
+    pub timings_micros: Timings,
+    /// What the texture cache did.
+    pub cache: CacheUse,
+}
+
+/// Where the time went.
+#[derive(Debug, Serialize)]
+pub struct Timings {
+    /// Waiting.
+    pub queue: u64,
+    /// Loading pages.
+    pub pages: u64,
+    /// Computing.
+    pub render: u64,
+    /// Encoding.
+    pub encode: u64,
+}
+
+/// What the texture cache did for a frame.
+#[derive(Debug, Serialize)]
+pub struct CacheUse {
+    /// Pages asked for.
+    pub look_ups: u64,
+    /// Found in memory.
+    pub hits: u64,
+    /// Read from disk.
+    pub misses: u64,
+    /// From disk.
+    pub read_bytes: u64,
+}
+
+/// `cache stats`.
+#[derive(Debug, Serialize)]
+pub struct CacheStats {
+    memory_budget_bytes: u64,
+    memory_used_bytes: u64,
+    memory_pages: u64,
+    look_ups: u64,
+    hits: u64,
+    misses: u64,
+    coalesced: u64,
+    evictions: u64,
+    read_bytes: u64,
+    decoded_bytes: u64,
+}
+
+fn time(timestamp: Option<Timestamp>) -> Option<String> {
+    timestamp.map(|t| t.to_string())
+}
+
+fn parsed(json: &str) -> Value {
+    serde_json::from_str(json).unwrap_or(Value::Null)
+}
+
+fn corner(v: Option<wire::Vector3>) -> [f32; 3] {
+    let v = v.unwrap_or_default();
+    [v.x, v.y, v.z]
+}
+
+impl From<wire::Dataset> for Dataset {
+    fn from(d: wire::Dataset) -> Self {
+        let versions = d.versions.into_iter().map(DatasetVersion::from).collect();
+        Self { name: d.name, kind: d.kind, latest_version: d.latest_version, create_time: time(d.create_time), versions }
+    }
+}
+
+impl From<wire::DatasetVersion> for DatasetVersion {
+    fn from(v: wire::DatasetVersion) -> Self {
+        Self {
+            version: v.version,
+            create_time: time(v.create_time),
+            size_bytes: v.size_bytes,
+            page_count: v.page_count,
+            parameters: parsed(&v.parameters_json),
+            object_bounds: v.object_bounds.map(|b| Bounds { min: corner(b.min), max: corner(b.max) }),
+        }
+    }
+}
+
+impl From<wire::DatasetFile> for DatasetFile {
+    fn from(f: wire::DatasetFile) -> Self {
+        let role = match f.role() {
+            wire::DatasetFileRole::Manifest => "manifest",
+            wire::DatasetFileRole::Segment => "segment",
+            wire::DatasetFileRole::Blob => "blob",
+            wire::DatasetFileRole::Unspecified => "unknown",
+        };
+        Self { role, name: f.name, blake3: f.blake3, size_bytes: f.size_bytes }
+    }
+}
+
+/// "SUCCEEDED".
+pub fn state_name(state: wire::JobState) -> String {
+    state.as_str_name().trim_start_matches("JOB_STATE_").to_string()
+}
+
+impl From<wire::Job> for Job {
+    fn from(job: wire::Job) -> Self {
+        let state = state_name(job.state());
+        let (kind, dataset) = match job.spec.and_then(|s| s.spec) {
+            Some(wire::job_spec::Spec::Capture(s)) => ("capture", s.dataset),
+            Some(wire::job_spec::Spec::Evaluate(s)) => ("evaluate", s.dataset),
+            Some(wire::job_spec::Spec::PathRender(s)) => ("path_render", s.dataset),
+            None => ("unknown", String::new()),
+        };
+        Self {
+            name: job.name,
+            kind,
+            dataset,
+            state,
+            create_time: time(job.create_time),
+            start_time: time(job.start_time),
+            end_time: time(job.end_time),
+            attempt: job.attempt,
+            progress: job.progress.map(JobProgress::from),
+            error: job.error.map(JobError::from),
+            result: job.result.map(JobResult::from),
+        }
+    }
+}
+
+impl From<wire::JobProgress> for JobProgress {
+    fn from(p: wire::JobProgress) -> Self {
+        Self { stage: p.stage, done: p.done, total: p.total, fraction: p.fraction, seconds_left: p.seconds_left }
+    }
+}
+
+impl From<wire::JobError> for JobError {
+    fn from(e: wire::JobError) -> Self {
+        Self { code: code_name(tonic::Code::from_i32(e.code)), reason: e.reason, message: e.message }
+    }
+}
+
+impl From<wire::JobResult> for JobResult {
+    fn from(r: wire::JobResult) -> Self {
+        let blob = |b: wire::ResultBlob| ResultBlob { name: b.name, media_type: b.media_type, blake3: b.blake3, size_bytes: b.size_bytes };
+        Self {
+            dataset: r.dataset,
+            dataset_version: r.dataset_version,
+            blobs: r.blobs.into_iter().map(blob).collect(),
+            summary: parsed(&r.summary_json),
+        }
+    }
+}
+
+impl From<wire::JobEvent> for JobEvent {
+    fn from(e: wire::JobEvent) -> Self {
+        Self { sequence: e.sequence, time: time(e.time), job: e.job.unwrap_or_default().into() }
+    }
+}
+
+impl From<wire::CacheStats> for CacheStats {
+    fn from(s: wire::CacheStats) -> Self {
+        Self {
+            memory_budget_bytes: s.memory_budget_bytes,
+            memory_used_bytes: s.memory_used_bytes,
+            memory_pages: s.memory_pages,
+            look_ups: s.look_ups,
+            hits: s.hits,
+            misses: s.misses,
+            coalesced: s.coalesced,
+            evictions: s.evictions,
+            read_bytes: s.read_bytes,
+            decoded_bytes: s.decoded_bytes,
+        }
+    }
+}
+
+/// "gpu" or "cpu".
+pub fn backend_name(backend: wire::Backend) -> &'static str {
+    match backend {
+        wire::Backend::Gpu => "gpu",
+        wire::Backend::Cpu => "cpu",
+        wire::Backend::Unspecified => "unknown",
+    }
+}
