@@ -23,7 +23,5 @@ mod warp;
 #[cfg(test)]
 mod tests;
 
-pub(crate) use bvh::Bvh;
 pub use render::{TraceSettings, TracedImage};
 pub use tracer::{Appearance, Hit, TraceError, Tracer};
-pub(crate) use traverse::Stack;

@@ -19,7 +19,6 @@ mod index;
 mod manifest;
 mod opening;
 mod page;
-mod planes;
 mod policy;
 mod segment;
 mod staging;
