@@ -1,5 +1,6 @@
 //! The tracer: a scene made ready for rays, and the questions about geometry.
 
+use std::cell::RefCell;
 use std::sync::Arc;
 
 use glam::{Vec2, Vec3};
@@ -136,14 +137,13 @@ impl Tracer {
 
     /// Nearest surface in (0, `t_max`) along the ray.
     pub fn intersect(&self, ray: &Ray, t_max: f32) -> Option<Hit> {
-        let mut stack = Stack::new();
-        let hit = self.world.bvh.nearest(ray.origin, ray.direction, t_max, &mut stack)?;
+        let hit = with_stack(|stack| self.world.bvh.nearest(ray.origin, ray.direction, t_max, stack))?;
         Some(Hit::new(SurfacePoint::new(&self.world.triangles, hit)))
     }
 
     /// Whether any surface crosses the open segment from `a` to `b`. Points on a surface must be moved off it by the caller.
     pub fn occluded(&self, a: Vec3, b: Vec3) -> bool {
-        self.world.bvh.any(a, b - a, 1.0, &mut Stack::new())
+        with_stack(|stack| self.world.bvh.any(a, b - a, 1.0, stack))
     }
 
     /// Whether a point lies inside a body: around which one object's surface winds more than `INSIDE_WINDING` times (generalised
@@ -184,6 +184,14 @@ impl Tracer {
     pub(super) fn paths(&self, max_bounces: u32) -> PathTracer<'_> {
         PathTracer { world: &self.world, look: &self.look, max_bounces, stack: Stack::new() }
     }
+}
+
+/// The thread's own stack: a single ray is asked for too often to allocate.
+fn with_stack<T>(ask: impl FnOnce(&mut Stack) -> T) -> T {
+    thread_local! {
+        static STACK: RefCell<Stack> = RefCell::new(Stack::new());
+    }
+    STACK.with_borrow_mut(ask)
 }
 
 /// Directions of the winding number: its error at an open surface is then about 0.02.

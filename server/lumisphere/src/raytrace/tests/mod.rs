@@ -1,6 +1,7 @@
 //! Tests of the tracer as a whole; those of one sampler or table stand beside it.
 
 mod appearances;
+mod box_room;
 mod closed_forms;
 mod geometry;
 mod robustness;
