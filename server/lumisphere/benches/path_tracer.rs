@@ -65,7 +65,7 @@ fn corners(scene: &Scene) -> Vec<[Vec3; 3]> {
 
 /// How many rays hit, and the sum of their distances.
 fn trace(rays: &[Ray], mut nearest: impl FnMut(&Ray) -> Option<f32>) -> (usize, f64) {
-    rays.iter().filter_map(|ray| nearest(ray)).fold((0, 0.0), |(hits, sum), t| (hits + 1, sum + f64::from(t)))
+    rays.iter().filter_map(&mut nearest).fold((0, 0.0), |(hits, sum), t| (hits + 1, sum + f64::from(t)))
 }
 
 /// Time that this thread has spent on a processor, s: other work on the machine does not count. Wall clock where Linux does not tell.
