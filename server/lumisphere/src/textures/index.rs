@@ -6,11 +6,15 @@
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
-use std::{fs, io};
+use std::time::{Duration, Instant};
+use std::{fs, io, thread};
 
 use super::hash::ContentHash;
 use super::segment::Location;
 
+/// The store's own lock keeps other processes out. But sled's threads hold its file for a moment after it was closed in this one.
+const LOCK_PATIENCE: Duration = Duration::from_secs(2);
+const LOCK_RETRY: Duration = Duration::from_millis(5);
 const KEY_BYTES: usize = 20;
 const VALUE_BYTES: usize = 24;
 
@@ -35,7 +39,14 @@ pub(super) fn digest(pages: &[Location], segments: &[ContentHash]) -> ContentHas
 impl Index {
     /// Opens or makes the index; the error says what sled said, or that it panicked.
     pub fn open(path: &Path, cache_bytes: u64) -> Result<Self, String> {
-        guarded(|| sled::Config::new().path(path).cache_capacity(cache_bytes).flush_every_ms(None).open()).map(|db| Self { db })
+        let deadline = Instant::now() + LOCK_PATIENCE;
+        loop {
+            let config = sled::Config::new().path(path).cache_capacity(cache_bytes).flush_every_ms(None);
+            match guarded(|| config.open()) {
+                Err(reason) if reason.contains("could not acquire lock") && Instant::now() < deadline => thread::sleep(LOCK_RETRY),
+                result => return result.map(|db| Self { db }),
+            }
+        }
     }
 
     /// Deletes whatever is there and makes an empty one.
@@ -46,6 +57,14 @@ impl Index {
             _ => {}
         }
         Self::open(path, cache_bytes)
+    }
+
+    /// Lets go of the files; sled flushes then, and may panic on what it finds.
+    pub fn close(self) {
+        let _ = guarded(|| {
+            drop(self.db);
+            Ok(())
+        });
     }
 
     /// The places under `key`, if they are all there and are what the key says.
@@ -117,4 +136,36 @@ fn location_of(bytes: &[u8]) -> Option<Location> {
     let word = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().expect("four bytes"));
     let long = |at: usize| u64::from_le_bytes(bytes[at..at + 8].try_into().expect("eight bytes"));
     Some(Location { segment: word(0), length: word(4), offset: long(8), checksum: long(16) })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The loss of one key among many is what sled does not tell.
+    #[test]
+    fn an_index_that_lacks_changes_or_adds_one_entry_is_not_believed() {
+        let root = tempfile::tempdir().unwrap();
+        let index = Index::open(root.path(), 1 << 20).unwrap();
+        let page = |i: u64| Location { segment: 0, offset: 40 * i, length: 40, checksum: i * i };
+        let (pages, segments) = ((0..100).map(page).collect::<Vec<_>>(), [ContentHash::of(b"segment")]);
+        let key = digest(&pages, &segments);
+        index.store(&key, &pages).unwrap();
+        assert_eq!(index.load(&key, 100, &segments).as_ref(), Some(&pages));
+        assert_eq!(index.load(&key, 99, &segments), None);
+        assert_eq!(index.load(&key, 100, &[ContentHash::of(b"another")]), None);
+        let entry = key_of(&key, 57);
+        let value = index.db.remove(entry).unwrap().unwrap();
+        assert_eq!(index.load(&key, 100, &segments), None, "one is missing");
+        index.db.insert(entry, &value_of(&page(58))).unwrap();
+        assert_eq!(index.load(&key, 100, &segments), None, "one is another's");
+        index.db.insert(entry, &value[..23]).unwrap();
+        assert_eq!(index.load(&key, 100, &segments), None, "one is cut");
+        index.db.insert(entry, value).unwrap();
+        index.db.insert(key_of(&key, 100), &value_of(&page(100))).unwrap();
+        assert_eq!(index.load(&key, 100, &segments), None, "one is too many");
+        index.forget(&key).unwrap();
+        index.store(&key, &pages).unwrap();
+        assert_eq!(index.load(&key, 100, &segments), Some(pages));
+    }
 }

@@ -39,7 +39,7 @@ pub(super) fn load(
         catalog.datasets.insert(dataset, versions);
     }
     sweep(&catalog, folders, disk, report)?;
-    let (index, outcome) = index.finish();
+    let (index, outcome) = index.finish(&catalog);
     report.index = outcome;
     Ok((catalog, index))
 }
@@ -85,67 +85,77 @@ fn check_lengths(manifest: &Manifest, folders: &Folders, report: &mut OpenReport
     }
 }
 
-/// The index while the store is being opened.
-struct OpeningIndex {
+/// The index while the store is being opened. One entry that cannot be believed condemns it whole: it is made anew at the end.
+struct OpeningIndex<'a> {
+    path: &'a Path,
+    cache_bytes: u64,
     index: Option<Index>,
-    outcome: IndexOutcome,
-    /// Why a version may be missing from it.
-    reason: String,
+    /// Why it has to be made anew, if it has.
+    condemned: Option<String>,
+    missing_reason: &'static str,
+    rebuilt: Vec<(String, u64)>,
 }
 
-impl OpeningIndex {
-    fn open(path: &Path, cache_bytes: u64) -> Self {
-        let reason = if path.exists() { "entries do not give the manifest's digest" } else { "there was none" }.to_string();
-        match Index::open(path, cache_bytes) {
-            Ok(index) => Self { index: Some(index), outcome: IndexOutcome::Intact, reason },
-            Err(first) => match Index::recreate(path, cache_bytes) {
-                Ok(index) => Self { index: Some(index), outcome: rebuilt(first), reason },
-                Err(reason) => Self { index: None, outcome: IndexOutcome::Unavailable { reason: reason.clone() }, reason },
-            },
-        }
+impl<'a> OpeningIndex<'a> {
+    fn open(path: &'a Path, cache_bytes: u64) -> Self {
+        let missing_reason = if path.exists() { "entries do not give the manifest's digest" } else { "there was none" };
+        let (index, condemned) = match Index::open(path, cache_bytes) {
+            Ok(index) => (Some(index), None),
+            Err(reason) => (None, Some(reason)),
+        };
+        Self { path, cache_bytes, index, condemned, missing_reason, rebuilt: Vec::new() }
     }
 
     /// Places of a version's pages: from the index if it agrees with the manifest, else from the segments.
     fn pages(&mut self, manifest: &Manifest, folders: &Folders, disk: &dyn Disk, report: &mut OpenReport) -> Vec<Option<Location>> {
-        let hashes: Vec<ContentHash> = manifest.segments.iter().map(|s| s.blake3).collect();
+        let hashes = segment_hashes(manifest);
         let key = &manifest.pages.index;
         if let Some(pages) = self.index.as_ref().and_then(|index| index.load(key, manifest.pages.count, &hashes)) {
             return pages.into_iter().map(Some).collect();
         }
         let pages = scan(manifest, folders, disk, report);
-        let whole: Option<Vec<Location>> = pages.iter().copied().collect();
-        match whole.filter(|whole| digest(whole, &hashes) == *key) {
-            Some(whole) => self.restore(manifest, &whole),
-            None => report.damaged.push(StoreError::DamagedFile {
+        if whole_pages(manifest, &pages).is_some() {
+            self.condemned.get_or_insert_with(|| self.missing_reason.into());
+            self.rebuilt.push((manifest.dataset.clone(), manifest.version));
+        } else {
+            // The segments are at fault, not the index.
+            report.damaged.push(StoreError::DamagedFile {
                 reason: format!("{} of {} page headers are damaged", pages.iter().filter(|p| p.is_none()).count(), pages.len()),
                 path: folders.dataset(&manifest.dataset).join(manifest.version.to_string()).join("manifest.json"),
-            }),
+            });
         }
         pages
     }
 
-    fn restore(&mut self, manifest: &Manifest, pages: &[Location]) {
-        let Some(index) = &self.index else { return };
-        if let Err(reason) = index.forget(&manifest.pages.index).and_then(|()| index.store(&manifest.pages.index, pages)) {
-            self.outcome = IndexOutcome::Unavailable { reason };
-            self.index = None;
-            return;
+    /// Makes a condemned index anew from the catalogue.
+    fn finish(self, catalog: &Catalog) -> (Option<Index>, IndexOutcome) {
+        let Some(reason) = self.condemned else { return (self.index, IndexOutcome::Intact) };
+        if let Some(index) = self.index {
+            index.close();
         }
-        if self.outcome == IndexOutcome::Intact {
-            self.outcome = rebuilt(self.reason.clone());
+        let made = Index::recreate(self.path, self.cache_bytes).and_then(|index| {
+            for record in catalog.records() {
+                if let Some(pages) = whole_pages(&record.manifest, &record.pages) {
+                    index.store(&record.manifest.pages.index, &pages)?;
+                }
+            }
+            Ok(index)
+        });
+        match made {
+            Ok(index) => (Some(index), IndexOutcome::Rebuilt { versions: self.rebuilt, reason }),
+            Err(reason) => (None, IndexOutcome::Unavailable { reason }),
         }
-        if let IndexOutcome::Rebuilt { versions, .. } = &mut self.outcome {
-            versions.push((manifest.dataset.clone(), manifest.version));
-        }
-    }
-
-    fn finish(self) -> (Option<Index>, IndexOutcome) {
-        (self.index, self.outcome)
     }
 }
 
-fn rebuilt(reason: String) -> IndexOutcome {
-    IndexOutcome::Rebuilt { versions: Vec::new(), reason }
+fn segment_hashes(manifest: &Manifest) -> Vec<ContentHash> {
+    manifest.segments.iter().map(|s| s.blake3).collect()
+}
+
+/// The places, if none is missing and they are those of the manifest's digest.
+fn whole_pages(manifest: &Manifest, pages: &[Option<Location>]) -> Option<Vec<Location>> {
+    let whole: Vec<Location> = pages.iter().copied().collect::<Option<_>>()?;
+    (digest(&whole, &segment_hashes(manifest)) == manifest.pages.index).then_some(whole)
 }
 
 /// Places of the pages as the segments' own headers give them; None for a page whose header is nowhere intact.

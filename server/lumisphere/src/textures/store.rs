@@ -372,8 +372,12 @@ impl Catalog {
 
     /// Every segment and blob that some manifest names.
     pub fn named_files(&self, folders: &Folders) -> BTreeSet<PathBuf> {
-        let records = self.datasets.values().flat_map(BTreeMap::values).filter_map(Entry::record);
-        records.flat_map(|record| files_of(&record.manifest, folders)).collect()
+        self.records().flat_map(|record| files_of(&record.manifest, folders)).collect()
+    }
+
+    /// Every version whose manifest is whole.
+    pub fn records(&self) -> impl Iterator<Item = &Arc<VersionRecord>> {
+        self.datasets.values().flat_map(BTreeMap::values).filter_map(Entry::record)
     }
 }
 
