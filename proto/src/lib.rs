@@ -30,7 +30,7 @@ mod tests {
     /// Paths (field numbers of `FileDescriptorProto`) of everything that must carry a comment: messages 4, enums 5, services 6, at any depth.
     fn is_documentable(path: &[i32]) -> bool {
         match path {
-            [4 | 5 | 6, _] => true,
+            [4..=6, _] => true,
             // In a message: field 2, nested message 3, nested enum 4, oneof 8.
             [4, _, rest @ ..] => in_message(rest),
             // In an enum: value 2. In a service: method 2.

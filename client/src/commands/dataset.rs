@@ -30,9 +30,6 @@ pub enum Command {
     Create {
         /// Its name: [a-z0-9][a-z0-9._-]{0,62}
         name: String,
-        /// What it will hold
-        #[arg(long, default_value = "offset_surface_light_field")]
-        kind: String,
     },
     /// Delete a dataset with all its versions, for good
     Delete {
@@ -68,7 +65,7 @@ pub async fn run(command: Command, context: &Context) -> anyhow::Result<()> {
     match command {
         Command::List => list(context).await,
         Command::Get { name } => get(context, name).await,
-        Command::Create { name, kind } => create(context, name, kind).await,
+        Command::Create { name } => create(context, name).await,
         Command::Delete { name } => delete(context, name).await,
         Command::Files { name, version } => files(context, name, version).await,
         Command::Download { name, version, out, force } => download_version(context, name, version, out, Existing::from_force(force)).await,
@@ -119,10 +116,9 @@ fn dataset_text(dataset: &views::Dataset) -> String {
     text
 }
 
-async fn create(context: &Context, name: String, kind: String) -> anyhow::Result<()> {
+async fn create(context: &Context, name: String) -> anyhow::Result<()> {
     let mut client = context.connect().await?.datasets();
-    let dataset =
-        views::Dataset::from(client.create_dataset(context.request(wire::CreateDatasetRequest { name, kind })).await?.into_inner());
+    let dataset = views::Dataset::from(client.create_dataset(context.request(wire::CreateDatasetRequest { name })).await?.into_inner());
     context.output.document(&dataset, || format!("created {}", dataset.name))?;
     Ok(())
 }

@@ -1,2 +1,146 @@
-//! Placeholder entry.
-fn main() {}
+//! `lumisphere-server`: reads the configuration, puts the parts together, serves until it is asked to stop.
+//!
+//! Exit codes: 0 stopped as asked · 1 could not start or serve · 2 configuration or usage · 130 second signal.
+
+mod api;
+mod catalog;
+mod config;
+mod errors;
+mod frames;
+mod jobs;
+mod render_queue;
+mod serve;
+mod sessions;
+mod shutdown;
+mod telemetry;
+mod wire;
+mod work;
+
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::AtomicU64;
+use std::time::{Duration, Instant};
+
+use anyhow::Context;
+use lumisphere::render::Renderer;
+use tokio_util::sync::CancellationToken;
+
+use crate::api::{Adapter, App};
+use crate::catalog::{Catalog, UploadLimits};
+use crate::config::{BackendChoice, Config, Effective};
+use crate::frames::Frames;
+use crate::jobs::{JobLimits, Jobs};
+use crate::render_queue::RenderQueue;
+use crate::sessions::Sessions;
+use crate::telemetry::{Metrics, start_logging};
+use crate::wire::jobs::SpecLimits;
+use crate::work::Work;
+
+const FAILURE: u8 = 1;
+const USAGE: u8 = 2;
+/// Threads of the runtime that are busy with a blocking call when the process ends get no longer.
+const LAST_PATIENCE: Duration = Duration::from_millis(200);
+
+fn main() -> ExitCode {
+    let (effective, print) = match Effective::from_process() {
+        Ok(Ok(effective)) => effective,
+        Ok(Err(error)) => {
+            eprintln!("lumisphere-server: {error}");
+            return ExitCode::from(USAGE);
+        }
+        // Help and version too: clap knows which stream and code.
+        Err(usage) => usage.exit(),
+    };
+    if print {
+        print!("{effective}");
+        return ExitCode::SUCCESS;
+    }
+    start_logging(&effective.config.log);
+    match run(effective) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            tracing::error!("{error:#}");
+            ExitCode::from(FAILURE)
+        }
+    }
+}
+
+fn run(effective: Effective) -> anyhow::Result<()> {
+    for entry in &effective.entries {
+        tracing::info!(key = entry.key, value = entry.value, origin = %entry.origin, "configuration");
+    }
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().context("cannot start the runtime")?;
+    let grace = effective.config.shutdown_grace;
+    let app = Arc::new(assemble(effective, runtime.handle())?);
+    let served = runtime.block_on(serve::serve(app.clone(), grace));
+    // Running jobs stop between two pieces and go on after the next start; one that does not stop in time is as good as killed.
+    let jobs = app.jobs.clone();
+    let stopped = runtime.spawn_blocking(move || jobs.stop());
+    if !runtime.block_on(shutdown::joined_within(stopped, grace)) {
+        tracing::warn!("a job did not stop in time; it goes on after the next start from what it has stored");
+    }
+    runtime.shutdown_timeout(LAST_PATIENCE);
+    served
+}
+
+fn assemble(effective: Effective, runtime: &tokio::runtime::Handle) -> anyhow::Result<App> {
+    let Effective { config, entries } = effective;
+    let metrics = Arc::new(Metrics::new());
+    let uploads = UploadLimits { blob_bytes: config.max_blob_bytes, unfinished_bytes: config.max_unfinished_upload_bytes };
+    let catalog = Catalog::open(&config.data_dir, config.memory_cache_bytes, uploads).context("cannot open the data folder")?;
+    let catalog = Arc::new(catalog);
+    let (queue, adapter) = start_rendering(&config)?;
+    let frames = Frames::new(queue, metrics.clone());
+    let limits = SpecLimits { max_pixels: config.max_pixels_per_frame, max_cameras: config.max_cameras_per_job };
+    let work = Work { catalog: catalog.clone(), frames: frames.clone(), runtime: runtime.clone(), limits };
+    let job_limits = JobLimits {
+        concurrent: config.max_concurrent_jobs,
+        queued: config.max_queued_jobs,
+        kept: config.jobs_kept,
+        threads: config.job_threads,
+    };
+    let jobs = Jobs::start(&config.data_dir.join("jobs"), job_limits, work).context("cannot read the job records")?;
+    Ok(App {
+        catalog,
+        frames,
+        jobs: Arc::new(jobs),
+        sessions: Sessions::new(config.max_sessions),
+        metrics,
+        adapter,
+        stopping: CancellationToken::new(),
+        started: Instant::now(),
+        frame_ids: AtomicU64::new(0),
+        config,
+        entries,
+    })
+}
+
+/// The render thread, and the adapter it found.
+fn start_rendering(config: &Config) -> anyhow::Result<(RenderQueue<Renderer>, Option<Adapter>)> {
+    let (choice, budget) = (config.backend, config.gpu_cache_bytes);
+    let (told, adapter) = std::sync::mpsc::channel();
+    let make = move || {
+        let renderer = make_renderer(choice, budget)?;
+        // Only the first renderer's adapter is waited for.
+        let _ = told.send(adapter_of(&renderer));
+        Ok::<_, anyhow::Error>(renderer)
+    };
+    let queue = RenderQueue::start(config.render_queue_length, make)?;
+    let adapter = adapter.recv().context("the render thread ended early")?;
+    match &adapter {
+        Some(adapter) => tracing::info!(adapter = adapter.name, driver = adapter.driver, "rendering on the GPU"),
+        None => tracing::warn!("no graphics adapter is used; rendering on the CPU"),
+    }
+    Ok((queue, adapter))
+}
+
+fn make_renderer(choice: BackendChoice, _gpu_cache_bytes: u64) -> anyhow::Result<Renderer> {
+    match choice {
+        BackendChoice::Auto | BackendChoice::Cpu => Ok(Renderer::cpu_only()),
+        BackendChoice::Gpu => anyhow::bail!("backend = \"gpu\", but this build renders on the CPU only"),
+    }
+}
+
+fn adapter_of(renderer: &Renderer) -> Option<Adapter> {
+    renderer.adapter().map(|name| Adapter { name: name.into(), driver: String::new() })
+}

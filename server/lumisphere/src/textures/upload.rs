@@ -132,6 +132,15 @@ impl Store {
         upload.finish()
     }
 
+    /// Removes an uploaded blob; nothing happens if there is none. What versions hold of the same content stays.
+    pub fn remove_upload(&self, hash: &ContentHash) -> Result<(), StoreError> {
+        let path = self.folders().upload(hash);
+        match self.disk().remove_file(&path) {
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(()),
+            removed => removed.at("remove", &path),
+        }
+    }
+
     /// Whether content with this hash is here: an upload, a version's blob or a segment.
     pub fn has_blob(&self, hash: &ContentHash) -> bool {
         self.content_path(hash).is_some()

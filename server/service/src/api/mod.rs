@@ -1,0 +1,96 @@
+//! The adapters: one short method an rpc, wire types to library calls and back. What takes longer than a look-up runs elsewhere.
+
+mod cache;
+mod datasets;
+mod jobs;
+mod rendering;
+mod system;
+
+use std::pin::Pin;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Instant;
+
+use tokio_stream::Stream;
+use tokio_util::sync::CancellationToken;
+use tonic::Status;
+
+use crate::catalog::Catalog;
+use crate::config::{Config, Entry};
+use crate::errors::{ApiError, Reason};
+use crate::frames::Frames;
+use crate::jobs::Jobs;
+use crate::render_queue::panic_message;
+use crate::sessions::Sessions;
+use crate::telemetry::Metrics;
+use crate::wire::jobs::SpecLimits;
+
+/// All that the adapters share.
+pub struct App {
+    /// In effect.
+    pub config: Config,
+    /// The same, for people.
+    pub entries: Vec<Entry>,
+    /// Datasets and blobs.
+    pub catalog: Arc<Catalog>,
+    /// Renders.
+    pub frames: Frames,
+    /// Long work.
+    pub jobs: Arc<Jobs>,
+    /// Viewers.
+    pub sessions: Sessions,
+    /// Instruments.
+    pub metrics: Arc<Metrics>,
+    /// The graphics adapter, if there is one.
+    pub adapter: Option<Adapter>,
+    /// Cancelled once the server stops.
+    pub stopping: CancellationToken,
+    /// When the server started.
+    pub started: Instant,
+    /// Frames of `RenderFrame`.
+    pub frame_ids: AtomicU64,
+}
+
+/// A graphics adapter, for people.
+#[derive(Debug, Clone)]
+pub struct Adapter {
+    /// "llvmpipe (LLVM 15.0.6, 256 bits)".
+    pub name: String,
+    /// Its driver's description.
+    pub driver: String,
+}
+
+impl App {
+    /// What specifications of jobs are held to.
+    pub fn spec_limits(&self) -> SpecLimits {
+        SpecLimits { max_pixels: self.config.max_pixels_per_frame, max_cameras: self.config.max_cameras_per_job }
+    }
+
+    /// Refuses new work once the server stops.
+    pub fn accepting(&self) -> Result<(), ApiError> {
+        match self.stopping.is_cancelled() {
+            true => Err(ApiError::new(Reason::ShuttingDown, "the server is stopping")),
+            false => Ok(()),
+        }
+    }
+
+    fn next_frame_id(&self) -> u64 {
+        self.frame_ids.fetch_add(1, Ordering::Relaxed) + 1
+    }
+}
+
+/// One service's adapter; they differ only in the trait they implement.
+#[derive(Clone)]
+pub struct Api(pub Arc<App>);
+
+/// A server stream.
+type Answers<T> = Pin<Box<dyn Stream<Item = Result<T, Status>> + Send>>;
+
+/// Runs what blocks on a thread for that.
+pub async fn blocking<T: Send + 'static>(work: impl FnOnce() -> Result<T, ApiError> + Send + 'static) -> Result<T, ApiError> {
+    let ended = tokio::task::spawn_blocking(work).await;
+    ended.unwrap_or_else(|error| {
+        let what = error.try_into_panic().map_or("cancelled".into(), |panic| panic_message(panic.as_ref()));
+        Err(ApiError::internal(format!("blocking work ended early: {what}")))
+    })
+}

@@ -1,0 +1,48 @@
+//! Frames.
+
+use std::time::Instant;
+
+use tokio_stream::wrappers::ReceiverStream;
+use tonic::{Request, Response, Status, Streaming};
+
+use super::{Answers, Api, App, blocking};
+use crate::errors::ApiError;
+use crate::frames::FrameOrder;
+use crate::render_queue::Priority;
+use crate::wire::frames::{FrameIdentity, frame};
+use crate::wire::proto::{self, rendering_server::Rendering};
+use crate::wire::settings::{check_kind, output, render_settings};
+use crate::wire::{self, camera::camera};
+
+#[tonic::async_trait]
+impl Rendering for Api {
+    async fn render_frame(&self, request: Request<proto::RenderFrameRequest>) -> Result<Response<proto::Frame>, Status> {
+        self.0.accepting()?;
+        let deadline = wire::timeout(request.metadata()).map(|t| tokio::time::Instant::now() + t);
+        let rendered = render(&self.0, request.into_inner(), deadline).await?;
+        Ok(Response::new(rendered))
+    }
+
+    type InteractStream = Answers<proto::InteractResponse>;
+
+    async fn interact(&self, request: Request<Streaming<proto::InteractRequest>>) -> Result<Response<Self::InteractStream>, Status> {
+        self.0.accepting()?;
+        let answers = self.0.sessions.interact(self.0.clone(), request.into_inner())?;
+        Ok(Response::new(Box::pin(ReceiverStream::new(answers))))
+    }
+}
+
+async fn render(app: &App, m: proto::RenderFrameRequest, deadline: Option<tokio::time::Instant>) -> Result<proto::Frame, ApiError> {
+    let dataset = wire::dataset_name(&m.dataset, "dataset")?;
+    let camera = camera(m.camera, app.config.max_pixels_per_frame, "camera")?;
+    let settings = render_settings(m.settings, "settings")?;
+    let output = output(m.output, "output")?;
+    let (catalog, begun) = (app.catalog.clone(), Instant::now());
+    let version = blocking(move || catalog.open_version(&dataset, m.version)).await?;
+    check_kind(&settings.settings, version.representation.kind().name())?;
+    let opening_micros = begun.elapsed().as_micros() as u64;
+    let order = FrameOrder { version: version.clone(), camera, settings, output, opening_micros };
+    let encoded = app.frames.encoded(order, Priority::Viewer, deadline).await?;
+    let (dataset, dataset_version) = (version.dataset.clone(), version.version);
+    Ok(frame(encoded, FrameIdentity { frame_id: app.next_frame_id(), pose_id: m.pose_id, dataset, dataset_version }))
+}

@@ -1,0 +1,270 @@
+//! The one map from what went wrong to a gRPC status: reason → code, library error → reason.
+//!
+//! A reason is part of the API (`ErrorReason` in `system.proto`); its status code follows from it, so that the two cannot disagree.
+
+use std::collections::{BTreeMap, HashMap};
+use std::fmt;
+
+use lumisphere::evaluate::EvaluateError;
+use lumisphere::progress::Cancelled;
+use lumisphere::raytrace::TraceError;
+use lumisphere::render::RenderError;
+use lumisphere::representations::offset_surface_light_field::ConstructError;
+use lumisphere::scenes::SceneError;
+use lumisphere::textures::StoreError;
+use tonic::{Code, Status};
+use tonic_types::{ErrorDetails, StatusExt};
+
+pub use crate::wire::proto::ErrorReason as Reason;
+use crate::wire::{ERROR_DOMAIN, reason_name};
+
+/// What the caller is told. Made once, at the place that knows the reason; turned into a `Status` at the edge.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ApiError {
+    reason: Reason,
+    message: String,
+    violations: Vec<Violation>,
+    metadata: BTreeMap<String, String>,
+}
+
+/// A field and what was expected of it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+struct Violation {
+    field: String,
+    description: String,
+}
+
+impl ApiError {
+    /// Anything but a field that does not hold what it must (`field`).
+    pub fn new(reason: Reason, message: impl Into<String>) -> Self {
+        Self { reason, message: message.into(), violations: Vec::new(), metadata: BTreeMap::new() }
+    }
+
+    /// `field` as a path from the request's type ("RenderFrameRequest.camera.pose"); `problem` says what it is and what was expected.
+    pub fn field(field: impl Into<String>, problem: impl fmt::Display) -> Self {
+        let (field, description) = (field.into(), problem.to_string());
+        let message = format!("{field}: {description}");
+        Self { violations: vec![Violation { field, description }], ..Self::new(Reason::FieldInvalid, message) }
+    }
+
+    /// Adds a machine-readable fact to the `ErrorInfo`.
+    pub fn with(mut self, key: &str, value: impl fmt::Display) -> Self {
+        self.metadata.insert(key.into(), value.to_string());
+        self
+    }
+
+    /// A defect of ours: `message` goes to the log, the caller learns that it is in the log.
+    pub fn internal(message: impl fmt::Display) -> Self {
+        tracing::error!(%message, "internal error");
+        Self::new(Reason::Internal, "internal error; the server's log has the details")
+    }
+
+    /// Why.
+    pub fn reason(&self) -> Reason {
+        self.reason
+    }
+
+    /// The status code that goes with the reason.
+    pub fn code(&self) -> Code {
+        code_of(self.reason)
+    }
+
+    /// For people.
+    pub fn message(&self) -> &str {
+        &self.message
+    }
+}
+
+impl fmt::Display for ApiError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.message)
+    }
+}
+
+impl std::error::Error for ApiError {}
+
+/// The status code of a reason, as `system.proto` documents it.
+pub fn code_of(reason: Reason) -> Code {
+    match reason {
+        Reason::Unspecified | Reason::Internal | Reason::JobFailed => Code::Internal,
+        Reason::FieldInvalid | Reason::SceneInvalid => Code::InvalidArgument,
+        Reason::DatasetNotFound | Reason::VersionNotFound | Reason::BlobNotFound | Reason::JobNotFound => Code::NotFound,
+        Reason::DatasetExists | Reason::RequestIdReused => Code::AlreadyExists,
+        Reason::DatasetEmpty
+        | Reason::DatasetKindMismatch
+        | Reason::ChunkOutOfOrder
+        | Reason::UploadNotBegun
+        | Reason::JobEnded
+        | Reason::FormatTooNew
+        | Reason::InteractionOrder => Code::FailedPrecondition,
+        Reason::DatasetBusy => Code::Aborted,
+        Reason::BlobHashMismatch | Reason::DataCorrupt => Code::DataLoss,
+        Reason::UploadTooLarge
+        | Reason::JobQueueFull
+        | Reason::RenderQueueFull
+        | Reason::FrameTooLarge
+        | Reason::TooManySessions
+        | Reason::DiskFull => Code::ResourceExhausted,
+        Reason::JobCancelled => Code::Cancelled,
+        Reason::GpuUnavailable | Reason::ShuttingDown => Code::Unavailable,
+        Reason::DeadlineExceeded => Code::DeadlineExceeded,
+    }
+}
+
+impl From<StoreError> for ApiError {
+    fn from(error: StoreError) -> Self {
+        let message = error.to_string();
+        let reason = match &error {
+            StoreError::NotFound { what } => not_found_reason(what),
+            StoreError::AlreadyExists { .. } => Reason::DatasetExists,
+            StoreError::AlreadyPublished { .. } | StoreError::Incomplete { .. } | StoreError::InvalidPage { .. } => {
+                return Self::internal(message);
+            }
+            StoreError::Busy { .. } => Reason::DatasetBusy,
+            StoreError::InvalidName { .. } => return Self::field("name", message),
+            StoreError::DamagedPage { .. } | StoreError::DamagedFile { .. } => {
+                tracing::error!(%error, "damaged data");
+                Reason::DataCorrupt
+            }
+            StoreError::WrongOffset { expected, .. } => {
+                return Self::new(Reason::ChunkOutOfOrder, message).with("expected_offset", expected);
+            }
+            StoreError::WrongLength { .. } => return Self::field("data", message),
+            StoreError::WrongHash { .. } => Reason::BlobHashMismatch,
+            StoreError::DiskFull { .. } => Reason::DiskFull,
+            StoreError::Io { .. } => return Self::internal(message),
+        };
+        Self::new(reason, message)
+    }
+}
+
+/// The store tells what is missing in words: "dataset x", "version 3 of dataset x", "blob …".
+fn not_found_reason(what: &str) -> Reason {
+    match what.split(' ').next() {
+        Some("dataset") => Reason::DatasetNotFound,
+        Some("version" | "a") => Reason::VersionNotFound,
+        _ => Reason::BlobNotFound,
+    }
+}
+
+impl From<RenderError> for ApiError {
+    fn from(error: RenderError) -> Self {
+        match error {
+            RenderError::Store(error) => error.into(),
+            RenderError::PageShape { .. } => Self::new(Reason::DataCorrupt, error.to_string()),
+            RenderError::NoGpu => Self::field("settings.backend", error),
+        }
+    }
+}
+
+impl From<Cancelled> for ApiError {
+    fn from(_: Cancelled) -> Self {
+        Self::new(Reason::JobCancelled, "cancelled")
+    }
+}
+
+impl From<SceneError> for ApiError {
+    fn from(error: SceneError) -> Self {
+        Self::new(Reason::SceneInvalid, error.to_string())
+    }
+}
+
+impl From<TraceError> for ApiError {
+    fn from(error: TraceError) -> Self {
+        Self::new(Reason::SceneInvalid, error.to_string())
+    }
+}
+
+impl From<ConstructError> for ApiError {
+    fn from(error: ConstructError) -> Self {
+        match error {
+            ConstructError::UnknownObject { .. } => Self::field("spec.capture.object", error),
+            ConstructError::Setting { setting, .. } => Self::field(format!("spec.capture.{setting}"), error),
+            ConstructError::Placement(error) => Self::field("spec.capture.density", error),
+            ConstructError::AllInside(_) => Self::field("spec.capture.offset", error),
+            ConstructError::Trace(error) => error.into(),
+            ConstructError::Cancelled(error) => error.into(),
+            ConstructError::Store(error) => error.into(),
+            ConstructError::Parts(error) => Self::internal(error),
+        }
+    }
+}
+
+impl From<EvaluateError<Self>> for ApiError {
+    fn from(error: EvaluateError<Self>) -> Self {
+        match error {
+            EvaluateError::Plan(problem) => Self::field("spec.evaluate", problem),
+            EvaluateError::Trace(error) => error.into(),
+            EvaluateError::Cancelled(error) => error.into(),
+            EvaluateError::Compare(error) => Self::internal(error),
+            EvaluateError::Other(error) => error,
+        }
+    }
+}
+
+impl From<ApiError> for Status {
+    fn from(error: ApiError) -> Self {
+        let code = error.code();
+        let metadata: HashMap<String, String> = error.metadata.into_iter().collect();
+        let mut details = ErrorDetails::with_error_info(reason_name(error.reason), ERROR_DOMAIN, metadata);
+        for violation in error.violations {
+            details.add_bad_request_violation(violation.field, violation.description);
+        }
+        Self::with_error_details(code, error.message, details)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use lumisphere::textures::{ContentHash, Store, StoreOptions};
+
+    use super::*;
+
+    #[test]
+    fn a_bad_field_names_the_field_the_problem_and_the_reason() {
+        let status = Status::from(ApiError::field("Camera.pose", "missing, a rigid pose expected").with("limit", 3));
+        assert_eq!(status.code(), Code::InvalidArgument);
+        assert_eq!(status.message(), "Camera.pose: missing, a rigid pose expected");
+        let details = status.get_error_details();
+        let info = details.error_info().unwrap();
+        assert_eq!((info.reason.as_str(), info.domain.as_str()), ("FIELD_INVALID", "lumisphere"));
+        assert_eq!(info.metadata["limit"], "3");
+        let violation = &details.bad_request().unwrap().field_violations[0];
+        assert_eq!((violation.field.as_str(), violation.description.as_str()), ("Camera.pose", "missing, a rigid pose expected"));
+    }
+
+    #[test]
+    fn what_the_store_misses_is_told_apart() {
+        let folder = tempfile::tempdir().unwrap();
+        let (store, _) = Store::open(folder.path(), StoreOptions::local()).unwrap();
+        let reason = |error: StoreError| ApiError::from(error).reason();
+        assert_eq!(reason(store.versions("tea").unwrap_err()), Reason::DatasetNotFound);
+        store.create_dataset("tea").unwrap();
+        assert_eq!(reason(store.open_version("tea", Some(3)).unwrap_err()), Reason::VersionNotFound);
+        assert_eq!(reason(store.open_version("tea", None).unwrap_err()), Reason::VersionNotFound);
+        assert_eq!(reason(store.create_dataset("tea").unwrap_err()), Reason::DatasetExists);
+        assert_eq!(reason(store.create_dataset("../tea").unwrap_err()), Reason::FieldInvalid);
+        assert_eq!(reason(store.read_blob(&ContentHash::of(b"")).unwrap_err()), Reason::BlobNotFound);
+        let _staging = store.stage("tea", "one").unwrap();
+        assert_eq!(reason(store.stage("tea", "two").unwrap_err()), Reason::DatasetBusy);
+    }
+
+    #[test]
+    fn every_reason_has_the_code_that_the_wire_documents() {
+        let proto = include_str!("../../../proto/lumisphere/v1alpha1/system.proto");
+        let mut seen = 0;
+        for number in 1.. {
+            let Ok(reason) = Reason::try_from(number) else { break };
+            let place = proto.find(&format!("  {} = {number};", reason.as_str_name())).expect("the enum is in the file");
+            let comment = proto[..place].trim_end().rsplit("\n\n").next().unwrap().lines().last().unwrap().trim();
+            // The status code begins the comment, on its first line; comments here have one or two lines.
+            let block: Vec<&str> = proto[..place].trim_end().lines().rev().take_while(|l| l.trim().starts_with("//")).collect();
+            let first = block.last().unwrap_or(&comment).trim().trim_start_matches("// ");
+            let documented = first.split(':').next().unwrap();
+            let code = format!("{:?}", code_of(reason));
+            assert_eq!(documented.replace('_', "").to_lowercase(), code.to_lowercase(), "{}", reason.as_str_name());
+            seen += 1;
+        }
+        assert!(seen >= 30);
+    }
+}

@@ -1,0 +1,201 @@
+//! From a pose to an encoded frame: open the version, wait for the render thread, encode on a blocking thread.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use bytes::Bytes;
+use lumisphere::geometry::Camera;
+use lumisphere::images::{Exposure, ExrStorage, Image, ToneMap, encode_exr_rgb, encode_jpeg, encode_png, tone_mapped};
+use lumisphere::render::{Backend, Frame, FrameRequest, Outputs, RenderError, Renderer};
+
+use crate::api::blocking;
+use crate::catalog::OpenedVersion;
+use crate::config::BackendChoice;
+use crate::errors::{ApiError, Reason};
+use crate::render_queue::{Priority, QueueError, RenderQueue, Rendered};
+use crate::telemetry::Metrics;
+use crate::wire::frames::EncodedFrame;
+use crate::wire::settings::{Encoding, Output, RenderSettings};
+use crate::wire::{MAX_FRAME_MESSAGE_BYTES, proto};
+
+/// zstd's level for raw planes: the fastest that still halves them.
+const ZSTD_LEVEL: i32 = 1;
+/// Of a frame's message, for everything but its images.
+const MESSAGE_OVERHEAD_BYTES: usize = 64 << 10;
+
+/// Renders frames, for viewers and for jobs.
+#[derive(Clone)]
+pub struct Frames {
+    queue: RenderQueue<Renderer>,
+    metrics: Arc<Metrics>,
+}
+
+/// What one frame shows.
+#[derive(Clone)]
+pub struct FrameOrder {
+    /// Of what.
+    pub version: Arc<OpenedVersion>,
+    /// From where.
+    pub camera: Camera,
+    /// What.
+    pub settings: RenderSettings,
+    /// What comes back.
+    pub output: Output,
+    /// What opening the version took, microseconds.
+    pub opening_micros: u64,
+}
+
+impl Frames {
+    /// On this queue.
+    pub fn new(queue: RenderQueue<Renderer>, metrics: Arc<Metrics>) -> Self {
+        Self { queue, metrics }
+    }
+
+    /// Renders waiting or in work.
+    pub fn waiting(&self) -> usize {
+        self.queue.waiting()
+    }
+
+    /// A frame as it goes over the wire. Dropping the future before rendering starts drops the work.
+    pub async fn encoded(
+        &self,
+        order: FrameOrder,
+        who: Priority,
+        deadline: Option<tokio::time::Instant>,
+    ) -> Result<EncodedFrame, ApiError> {
+        let (output, camera, opening_micros) = (order.output, order.camera, order.opening_micros);
+        let (rendered, adapter) = self.render(order, who, deadline).await?;
+        let metrics = self.metrics.clone();
+        blocking(move || {
+            let Rendered { value, queued, slot, admitted } = rendered;
+            let encoded = encode(value, camera, output, adapter, opening_micros, queued.as_micros() as u64)?;
+            drop((slot, admitted));
+            observe(&metrics, &encoded.timings);
+            Ok(encoded)
+        })
+        .await
+    }
+
+    /// The pixels themselves, and the adapter that computed them.
+    pub async fn render(
+        &self,
+        order: FrameOrder,
+        who: Priority,
+        deadline: Option<tokio::time::Instant>,
+    ) -> Result<(Rendered<Frame>, Option<String>), ApiError> {
+        let work = move |renderer: &mut Renderer| {
+            let outputs = Outputs { depth: order.output.depth, provenance: order.output.provenance };
+            let request = FrameRequest { camera: &order.camera, settings: &order.settings.settings, outputs };
+            let backend = match order.settings.backend {
+                BackendChoice::Auto => None,
+                BackendChoice::Gpu => Some(Backend::Gpu),
+                BackendChoice::Cpu => Some(Backend::Cpu),
+            };
+            let frame = renderer.render(&order.version.representation, &order.version.pages, &request, backend)?;
+            let adapter = (frame.stats.backend == Backend::Gpu).then(|| renderer.adapter().unwrap_or_default().to_string());
+            Ok::<_, RenderError>((frame, adapter))
+        };
+        let Rendered { value, queued, slot, admitted } = self.queue.run(who, deadline, work).await.map_err(|e| self.refused(e))?;
+        let (frame, adapter) = value?;
+        Ok((Rendered { value: frame, queued, slot, admitted }, adapter))
+    }
+
+    fn refused(&self, error: QueueError) -> ApiError {
+        let reason = match &error {
+            QueueError::Full { .. } => {
+                self.metrics.renders_refused.inc();
+                Reason::RenderQueueFull
+            }
+            QueueError::DeadlineExceeded => Reason::DeadlineExceeded,
+            QueueError::Stopped => Reason::ShuttingDown,
+            QueueError::Panicked(message) => return ApiError::internal(format!("rendering panicked: {message}")),
+        };
+        ApiError::new(reason, error.to_string())
+    }
+}
+
+/// The colour of a frame as an image.
+pub fn color_image(frame: &Frame) -> Image {
+    let (width, height) = (frame.width_px as usize, frame.height_px as usize);
+    let plane = |channel: usize| frame.pixels.color.iter().skip(channel).step_by(3).copied().collect();
+    Image { width, height, planes: vec![plane(0), plane(1), plane(2)] }
+}
+
+fn observe(metrics: &Metrics, timings: &proto::FrameTimings) {
+    metrics.frames.inc();
+    metrics.frame_stage("queue", timings.queue_micros);
+    metrics.frame_stage("pages", timings.pages_micros);
+    metrics.frame_stage("render", timings.render_micros);
+    metrics.frame_stage("encode", timings.encode_micros);
+}
+
+fn encode(
+    frame: Frame,
+    camera: Camera,
+    output: Output,
+    adapter: Option<String>,
+    opening_micros: u64,
+    queue_micros: u64,
+) -> Result<EncodedFrame, ApiError> {
+    let begun = Instant::now();
+    let color = encode_color(&frame, output.encoding)?;
+    let depth = frame.pixels.depth.as_deref().map_or(Ok(Bytes::new()), |d| compressed(d.iter().map(|v| v.to_le_bytes())))?;
+    let provenance = frame.pixels.provenance.as_deref();
+    let provenance = provenance.map_or(Ok(Bytes::new()), |p| compressed(p.iter().map(|v| v.bits().to_le_bytes())))?;
+    let bytes = color.len() + depth.len() + provenance.len();
+    if bytes > MAX_FRAME_MESSAGE_BYTES - MESSAGE_OVERHEAD_BYTES {
+        let message = format!(
+            "the encoded frame has {bytes} bytes, its message at most {MAX_FRAME_MESSAGE_BYTES}: ask for fewer pixels or another encoding"
+        );
+        return Err(ApiError::new(Reason::FrameTooLarge, message));
+    }
+    let stats = &frame.stats;
+    let prepare_micros = (1e3 * stats.prepare_millis) as u64;
+    let pages = &stats.page_use;
+    Ok(EncodedFrame {
+        camera,
+        encoding: output.encoding,
+        color,
+        depth,
+        provenance,
+        timings: proto::FrameTimings {
+            queue_micros,
+            pages_micros: opening_micros + prepare_micros,
+            render_micros: ((1e3 * stats.total_millis) as u64).saturating_sub(prepare_micros),
+            encode_micros: begun.elapsed().as_micros() as u64,
+        },
+        cache: proto::FrameCacheUse {
+            look_ups: pages.hits + pages.misses,
+            hits: pages.hits,
+            misses: pages.misses,
+            read_bytes: pages.bytes_read,
+        },
+        adapter,
+        is_final: true,
+    })
+}
+
+fn encode_color(frame: &Frame, encoding: Encoding) -> Result<Bytes, ApiError> {
+    let tone_map = |stops: f32| {
+        let exposure = Exposure::new(stops.exp2()).expect("stops were checked to be within ±30");
+        ToneMap::Clamp(exposure)
+    };
+    let failed = |e: lumisphere::images::ImageError| ApiError::internal(format!("cannot encode a frame: {e}"));
+    let encoded = match encoding {
+        Encoding::RawZstd => return compressed(frame.pixels.color.iter().map(|v| v.to_le_bytes())),
+        Encoding::Exr => encode_exr_rgb(&color_image(frame), ExrStorage::Float),
+        Encoding::Png { exposure_stops } => tone_mapped(&color_image(frame), tone_map(exposure_stops)).and_then(|i| encode_png(&i)),
+        Encoding::Jpeg { quality, exposure_stops } => {
+            tone_mapped(&color_image(frame), tone_map(exposure_stops)).and_then(|i| encode_jpeg(&i, quality))
+        }
+    };
+    Ok(encoded.map_err(failed)?.into())
+}
+
+/// One zstd frame of little-endian words.
+fn compressed(words: impl ExactSizeIterator<Item = [u8; 4]>) -> Result<Bytes, ApiError> {
+    let mut bytes = Vec::with_capacity(4 * words.len());
+    words.for_each(|word| bytes.extend_from_slice(&word));
+    let packed = zstd::bulk::compress(&bytes, ZSTD_LEVEL).map_err(|e| ApiError::internal(format!("cannot compress a frame: {e}")))?;
+    Ok(packed.into())
+}

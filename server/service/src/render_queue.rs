@@ -1,0 +1,282 @@
+//! The one thread that renders, and who may wait for it.
+//!
+//! The thread owns the renderer (its graphics device is used from no other thread). A render passes three gates: *admission* (as many
+//! waiting as configured, one more is refused at once), a *slot* (a few frames are between start and the end of their encoding, so that
+//! finished pixels cannot pile up in memory), and the thread itself. Viewers go before jobs. Work whose caller has gone, or whose
+//! deadline has passed, is dropped before it starts.
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
+use std::thread;
+use std::time::Duration;
+
+use crossbeam_channel::{Receiver, Sender, bounded, select_biased};
+use thiserror::Error;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, oneshot};
+use tokio::time::{Instant, timeout_at};
+
+/// Frames between start and the end of their encoding: one renders while two encode.
+const SLOTS: usize = 3;
+
+/// Who waits.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Priority {
+    /// Someone looks: first.
+    Viewer,
+    /// A job.
+    Batch,
+}
+
+/// Why there is no frame.
+#[derive(Debug, Clone, PartialEq, Eq, Error)]
+pub enum QueueError {
+    /// As many as allowed are waiting.
+    #[error("{waiting} renders are waiting, no more are taken")]
+    Full {
+        /// The limit.
+        waiting: usize,
+    },
+    /// The caller's deadline passed first.
+    #[error("the deadline passed before the frame was rendered")]
+    DeadlineExceeded,
+    /// The render thread has ended.
+    #[error("the renderer has stopped")]
+    Stopped,
+    /// Rendering panicked: a defect of ours. The renderer is made anew for the next frame.
+    #[error("rendering failed: {0}")]
+    Panicked(String),
+}
+
+type Work<R> = Box<dyn FnOnce(&mut R) + Send>;
+
+/// The render thread's front door; cheap to clone.
+pub struct RenderQueue<R> {
+    admission: Arc<Semaphore>,
+    length: usize,
+    slots: Arc<Semaphore>,
+    viewers: Sender<Work<R>>,
+    jobs: Sender<Work<R>>,
+}
+
+impl<R> Clone for RenderQueue<R> {
+    fn clone(&self) -> Self {
+        Self {
+            admission: self.admission.clone(),
+            length: self.length,
+            slots: self.slots.clone(),
+            viewers: self.viewers.clone(),
+            jobs: self.jobs.clone(),
+        }
+    }
+}
+
+/// A finished piece of work that still holds its slot: encode it, then let go.
+#[derive(Debug)]
+pub struct Rendered<T> {
+    /// What the work returned.
+    pub value: T,
+    /// From the call until the thread began.
+    pub queued: Duration,
+    /// Kept until the pixels are encoded.
+    pub slot: OwnedSemaphorePermit,
+    /// Kept as long: what is rendered but not answered still counts as waiting.
+    pub admitted: OwnedSemaphorePermit,
+}
+
+impl<R: 'static> RenderQueue<R> {
+    /// Starts the thread; `make` makes the renderer on it, and again after a panic. `length` renders may wait.
+    /// Returns once the first renderer is made, with its error if it cannot be.
+    pub fn start<E: Send + 'static>(length: usize, make: impl Fn() -> Result<R, E> + Send + 'static) -> Result<Self, E> {
+        // Only admitted work with a slot is sent, so a channel of SLOTS never blocks its sender.
+        let (viewers, viewer_work) = bounded::<Work<R>>(SLOTS);
+        let (jobs, job_work) = bounded::<Work<R>>(SLOTS);
+        let (ready, made) = bounded(1);
+        thread::Builder::new()
+            .name("render".into())
+            .spawn(move || match make() {
+                Ok(renderer) => {
+                    let _ = ready.send(Ok(()));
+                    render_until_closed(renderer, make, viewer_work, job_work);
+                }
+                Err(error) => drop(ready.send(Err(error))),
+            })
+            .expect("a thread can be started while the server starts");
+        made.recv().expect("the render thread answers before it ends")?;
+        Ok(Self { admission: Arc::new(Semaphore::new(length)), length, slots: Arc::new(Semaphore::new(SLOTS)), viewers, jobs })
+    }
+
+    /// Runs `work` on the render thread. Dropping the future before it starts drops the work.
+    pub async fn run<T: Send + 'static>(
+        &self,
+        priority: Priority,
+        deadline: Option<Instant>,
+        work: impl FnOnce(&mut R) -> T + Send + 'static,
+    ) -> Result<Rendered<T>, QueueError> {
+        let called = Instant::now();
+        let admitted = self.admission.clone().try_acquire_owned().map_err(|_| QueueError::Full { waiting: self.length })?;
+        // Far enough away to mean never, near enough not to overflow.
+        let deadline = deadline.unwrap_or_else(|| called + Duration::from_secs(86_400));
+        let slot = self.slots.clone().acquire_owned();
+        let slot = timeout_at(deadline, slot).await.map_err(|_| QueueError::DeadlineExceeded)?.map_err(|_| QueueError::Stopped)?;
+        let (answer, answered) = oneshot::channel();
+        // The permits travel with the work: a caller that leaves does not make room for more before its work is off the channel.
+        let boxed: Work<R> = Box::new(move |renderer| {
+            if answer.is_closed() {
+                return;
+            }
+            let begun = Instant::now();
+            if begun >= deadline {
+                let _ = answer.send(Err(QueueError::DeadlineExceeded));
+                return;
+            }
+            // The panic is carried to the caller, then on: the thread makes a new renderer.
+            match catch_unwind(AssertUnwindSafe(|| work(renderer))) {
+                Ok(value) => drop(answer.send(Ok(Rendered { value, queued: begun - called, slot, admitted }))),
+                Err(panic) => {
+                    let _ = answer.send(Err(QueueError::Panicked(panic_message(panic.as_ref()))));
+                    std::panic::resume_unwind(panic);
+                }
+            }
+        });
+        let sender = if priority == Priority::Viewer { &self.viewers } else { &self.jobs };
+        sender.try_send(boxed).map_err(|_| QueueError::Stopped)?;
+        answered.await.map_err(|_| QueueError::Stopped)?
+    }
+
+    /// How many are waiting, rendering or being encoded.
+    pub fn waiting(&self) -> usize {
+        self.length - self.admission.available_permits()
+    }
+}
+
+fn render_until_closed<R, E>(mut renderer: R, make: impl Fn() -> Result<R, E>, viewers: Receiver<Work<R>>, jobs: Receiver<Work<R>>) {
+    loop {
+        let work = select_biased! {
+            recv(viewers) -> work => work,
+            recv(jobs) -> work => work,
+        };
+        let Ok(work) = work else { return };
+        if catch_unwind(AssertUnwindSafe(|| work(&mut renderer))).is_ok() {
+            continue;
+        }
+        tracing::error!("rendering panicked; the renderer is made anew");
+        let Ok(fresh) = make() else {
+            tracing::error!("the renderer cannot be made anew; no more frames are rendered");
+            return;
+        };
+        renderer = fresh;
+    }
+}
+
+/// What a panic says.
+pub fn panic_message(panic: &(dyn std::any::Any + Send)) -> String {
+    let text = panic.downcast_ref::<&str>().map(|s| s.to_string());
+    text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_else(|| "panic without a message".into())
+}
+
+#[cfg(test)]
+mod tests {
+    use std::convert::Infallible;
+    use std::sync::atomic::{AtomicU32, Ordering};
+
+    use super::*;
+
+    fn queue(length: usize) -> RenderQueue<u32> {
+        RenderQueue::start(length, || Ok::<u32, Infallible>(0)).unwrap()
+    }
+
+    /// Occupies the thread until the sender is dropped or used.
+    fn hold(queue: &RenderQueue<u32>) -> (Sender<()>, tokio::task::JoinHandle<()>) {
+        let (release, released) = bounded::<()>(1);
+        let (begun, has_begun) = bounded::<()>(1);
+        let queue = queue.clone();
+        let held = tokio::spawn(async move {
+            let work = move |_: &mut u32| {
+                let _ = begun.send(());
+                let _ = released.recv();
+            };
+            queue.run(Priority::Viewer, None, work).await.unwrap();
+        });
+        tokio::task::block_in_place(|| has_begun.recv().unwrap());
+        (release, held)
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn one_more_than_allowed_is_refused_and_room_comes_back() {
+        let queue = queue(1);
+        let (release, held) = hold(&queue);
+        assert_eq!(queue.run(Priority::Viewer, None, |_| ()).await.unwrap_err(), QueueError::Full { waiting: 1 });
+        release.send(()).unwrap();
+        held.await.unwrap();
+        assert_eq!(queue.run(Priority::Viewer, None, |_| 5).await.unwrap().value, 5);
+        assert_eq!(queue.waiting(), 0);
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn work_whose_deadline_passed_or_whose_caller_left_is_never_begun() {
+        let queue = queue(8);
+        let begun = Arc::new(AtomicU32::new(0));
+        let counted = |begun: &Arc<AtomicU32>| {
+            let begun = begun.clone();
+            move |_: &mut u32| begun.fetch_add(1, Ordering::SeqCst)
+        };
+        let (release, held) = hold(&queue);
+        let soon = Instant::now() + Duration::from_millis(5);
+        let late = tokio::spawn({
+            let (queue, work) = (queue.clone(), counted(&begun));
+            async move { queue.run(Priority::Viewer, Some(soon), work).await.map(|r| r.value) }
+        });
+        let left = tokio::time::timeout(Duration::from_millis(5), queue.run(Priority::Viewer, None, counted(&begun))).await;
+        assert!(left.is_err());
+        tokio::time::sleep_until(soon).await;
+        release.send(()).unwrap();
+        held.await.unwrap();
+        assert_eq!(late.await.unwrap(), Err(QueueError::DeadlineExceeded));
+        assert_eq!(queue.run(Priority::Viewer, None, counted(&begun)).await.unwrap().value, 0, "nothing ran before");
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn viewers_go_before_jobs() {
+        let queue = queue(8);
+        let (release, held) = hold(&queue);
+        let run = |priority| {
+            let queue = queue.clone();
+            async move {
+                let work = |order: &mut u32| {
+                    *order += 1;
+                    *order
+                };
+                queue.run(priority, None, work).await.unwrap().value
+            }
+        };
+        // Polled once each, in this order, both are in their channels.
+        let mut job = Box::pin(run(Priority::Batch));
+        assert!(futures_poll_once(job.as_mut()).await.is_none());
+        let mut viewer = Box::pin(run(Priority::Viewer));
+        assert!(futures_poll_once(viewer.as_mut()).await.is_none());
+        release.send(()).unwrap();
+        held.await.unwrap();
+        assert_eq!(tokio::join!(job, viewer), (2, 1));
+    }
+
+    async fn futures_poll_once<F: Future>(future: std::pin::Pin<&mut F>) -> Option<F::Output> {
+        let mut future = Some(future);
+        std::future::poll_fn(move |cx| {
+            let polled = future.take().expect("polled once").poll(cx);
+            std::task::Poll::Ready(match polled {
+                std::task::Poll::Ready(value) => Some(value),
+                std::task::Poll::Pending => None,
+            })
+        })
+        .await
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn a_panic_is_told_to_its_caller_and_the_next_frame_has_a_fresh_renderer() {
+        let queue = queue(8);
+        queue.run(Priority::Viewer, None, |r| *r = 9).await.unwrap();
+        let failed = queue.run(Priority::Viewer, None, |_| -> u32 { panic!("on purpose") }).await.unwrap_err();
+        assert_eq!(failed, QueueError::Panicked("on purpose".into()));
+        assert_eq!(queue.run(Priority::Viewer, None, |r| *r).await.unwrap().value, 0);
+    }
+}

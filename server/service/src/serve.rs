@@ -1,0 +1,155 @@
+//! The two ports: gRPC with gRPC-Web, health and reflection on one, metrics and probes on the other.
+
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::time::Duration;
+
+use anyhow::Context;
+use http::{HeaderName, HeaderValue, Method};
+use tokio::net::TcpListener;
+use tonic::service::Routes;
+use tonic::transport::Server;
+use tonic::transport::server::TcpIncoming;
+use tonic_health::ServingStatus;
+use tonic_health::pb::health_server::{Health, HealthServer};
+use tonic_health::server::HealthReporter;
+use tonic_web::GrpcWebLayer;
+use tower_http::cors::{AllowOrigin, CorsLayer};
+
+use crate::api::{Api, App};
+use crate::shutdown::{Drained, StopSignals, until_drained};
+use crate::telemetry::{Metrics, Observed, RpcMetrics, http_routes};
+use crate::wire::proto::cache_server::{CacheServer, SERVICE_NAME as CACHE};
+use crate::wire::proto::datasets_server::{DatasetsServer, SERVICE_NAME as DATASETS};
+use crate::wire::proto::jobs_server::{JobsServer, SERVICE_NAME as JOBS};
+use crate::wire::proto::rendering_server::{RenderingServer, SERVICE_NAME as RENDERING};
+use crate::wire::proto::system_server::{SERVICE_NAME as SYSTEM, SystemServer};
+use crate::wire::{FILE_DESCRIPTOR_SET, MAX_FRAME_MESSAGE_BYTES, MAX_REQUEST_BYTES};
+
+/// A peer that is gone is noticed after these.
+const KEEPALIVE_INTERVAL: Duration = Duration::from_secs(20);
+const KEEPALIVE_TIMEOUT: Duration = Duration::from_secs(20);
+/// Streams on one connection.
+const MAX_CONCURRENT_STREAMS: u32 = 256;
+/// Window of a stream and of a connection for what clients send: several chunks of a blob.
+const STREAM_WINDOW_BYTES: u32 = 4 << 20;
+const CONNECTION_WINDOW_BYTES: u32 = 8 << 20;
+/// Metadata of a request.
+const MAX_HEADER_BYTES: u32 = 16 << 10;
+/// A browser may remember for so long what it may send.
+const PREFLIGHT_AGE: Duration = Duration::from_secs(3600);
+
+/// Serves until a signal, then drains for at most `grace`.
+pub async fn serve(app: Arc<App>, grace: Duration) -> anyhow::Result<()> {
+    let signals = StopSignals::install().context("cannot take signals")?;
+    let grpc = bind(app.config.listen_address).await?;
+    let http = bind(app.config.http_address).await?;
+    warn_of_open_port(grpc.local_addr()?);
+    // One line on stdout once both ports take connections: for scripts that asked for port 0.
+    println!("listening grpc={} http={}", grpc.local_addr()?, http.local_addr()?);
+    tokio::spawn(signals.watch(app.stopping.clone()));
+    let http_served = axum::serve(http, http_routes(observed(&app))).into_future();
+    let (reporter, health) = tonic_health::server::health_reporter();
+    report(&reporter, ServingStatus::Serving).await;
+    let routes = routes(&app, health)?;
+    let stopping = app.stopping.clone();
+    let stop = async move {
+        stopping.cancelled().await;
+        // First: whoever balances load must look elsewhere before connections go.
+        report(&reporter, ServingStatus::NotServing).await;
+    };
+    // tonic leaves these to whoever brings the listener.
+    let incoming = TcpIncoming::from(grpc).with_nodelay(Some(true)).with_keepalive(Some(KEEPALIVE_INTERVAL));
+    let grpc_served = Server::builder()
+        .accept_http1(true)
+        .http2_keepalive_interval(Some(KEEPALIVE_INTERVAL))
+        .http2_keepalive_timeout(Some(KEEPALIVE_TIMEOUT))
+        .max_concurrent_streams(Some(MAX_CONCURRENT_STREAMS))
+        .initial_stream_window_size(Some(STREAM_WINDOW_BYTES))
+        .initial_connection_window_size(Some(CONNECTION_WINDOW_BYTES))
+        .http2_max_header_list_size(Some(MAX_HEADER_BYTES))
+        .layer(cors(&app.config.allowed_origins)?)
+        .layer(GrpcWebLayer::new())
+        .layer(RpcMetrics { metrics: app.metrics.clone() })
+        .add_routes(routes)
+        .serve_with_incoming_shutdown(incoming, stop);
+    tokio::select! {
+        (served, drained) = until_drained(grpc_served, &app.stopping, grace) => {
+            match drained {
+                Drained::Whole => tracing::info!("every connection has ended"),
+                Drained::Cut => tracing::warn!(grace_seconds = grace.as_secs(), "connections that did not end in time are cut"),
+            }
+            served.transpose().context("cannot serve gRPC")?;
+        }
+        ended = http_served => ended.context("cannot serve HTTP")?,
+    }
+    Ok(())
+}
+
+async fn bind(address: SocketAddr) -> anyhow::Result<TcpListener> {
+    TcpListener::bind(address).await.with_context(|| format!("cannot listen on {address}"))
+}
+
+/// There is neither transport security nor authorisation yet.
+fn warn_of_open_port(address: SocketAddr) {
+    if !address.ip().is_loopback() {
+        tracing::warn!(%address, "anyone who reaches this address can read, write and delete; put a proxy before it");
+    }
+}
+
+fn routes(app: &Arc<App>, health: HealthServer<impl Health>) -> anyhow::Result<Routes> {
+    let api = || Api(app.clone());
+    let mut routes = Routes::builder();
+    routes.add_service(health);
+    routes.add_service(reflection().build_v1()?);
+    routes.add_service(reflection().build_v1alpha()?);
+    routes.add_service(SystemServer::new(api()).max_decoding_message_size(MAX_REQUEST_BYTES));
+    routes.add_service(DatasetsServer::new(api()).max_decoding_message_size(MAX_REQUEST_BYTES));
+    routes.add_service(JobsServer::new(api()).max_decoding_message_size(MAX_REQUEST_BYTES));
+    routes.add_service(CacheServer::new(api()).max_decoding_message_size(MAX_REQUEST_BYTES));
+    let rendering = RenderingServer::new(api()).max_decoding_message_size(MAX_REQUEST_BYTES);
+    routes.add_service(rendering.max_encoding_message_size(MAX_FRAME_MESSAGE_BYTES));
+    Ok(routes.routes())
+}
+
+/// Describes our services and health; the builder adds reflection's own.
+fn reflection() -> tonic_reflection::server::Builder<'static> {
+    tonic_reflection::server::Builder::configure()
+        .register_encoded_file_descriptor_set(FILE_DESCRIPTOR_SET)
+        .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
+}
+
+/// Health of every service, and of the server as a whole under the empty name.
+async fn report(reporter: &HealthReporter, status: ServingStatus) {
+    for service in ["", SYSTEM, DATASETS, JOBS, RENDERING, CACHE] {
+        reporter.set_service_status(service, status).await;
+    }
+}
+
+/// Pages of these origins may call over gRPC-Web and read how a call ended.
+fn cors(origins: &[String]) -> anyhow::Result<CorsLayer> {
+    let origins = origins.iter().map(|o| o.parse::<HeaderValue>().context("allowed_origins")).collect::<Result<Vec<_>, _>>()?;
+    let asked = ["content-type", "x-grpc-web", "x-user-agent", "grpc-timeout"].map(HeaderName::from_static);
+    let told = ["grpc-status", "grpc-message", "grpc-status-details-bin"].map(HeaderName::from_static);
+    let layer = CorsLayer::new().allow_origin(AllowOrigin::list(origins)).allow_methods([Method::POST]);
+    Ok(layer.allow_headers(asked).expose_headers(told).max_age(PREFLIGHT_AGE))
+}
+
+/// What the second port shows; gauges of others are copied in at each scrape.
+fn observed(app: &Arc<App>) -> Arc<Observed> {
+    let seen = app.clone();
+    let refresh = move |m: &Metrics| {
+        let (pending, running) = seen.jobs.counts();
+        m.jobs_pending.set(pending as i64);
+        m.jobs_running.set(running as i64);
+        m.sessions.set(seen.sessions.open() as i64);
+        m.renders_waiting.set(seen.frames.waiting() as i64);
+        let (now, baseline) = seen.catalog.cache_stats();
+        m.cache_look_ups.set((now.look_ups - baseline.look_ups) as i64);
+        m.cache_hits.set((now.hits - baseline.hits) as i64);
+        m.cache_misses.set((now.misses - baseline.misses) as i64);
+        m.cache_evictions.set((now.evictions - baseline.evictions) as i64);
+        m.cache_bytes.set(now.resident_bytes as i64);
+    };
+    Arc::new(Observed { metrics: app.metrics.clone(), refresh: Box::new(refresh), stopping: app.stopping.clone() })
+}

@@ -1,0 +1,280 @@
+//! What the operator sees: logs on standard error, Prometheus metrics, and the HTTP port that serves them beside liveness and readiness.
+
+use std::pin::Pin;
+use std::sync::Arc;
+use std::task::{Context, Poll, ready};
+use std::time::Instant;
+
+use axum::Router;
+use axum::extract::State;
+use axum::http::StatusCode;
+use axum::routing::get;
+use http_body::{Frame, SizeHint};
+use prometheus_client::encoding::EncodeLabelSet;
+use prometheus_client::metrics::counter::Counter;
+use prometheus_client::metrics::family::Family;
+use prometheus_client::metrics::gauge::Gauge;
+use prometheus_client::metrics::histogram::Histogram;
+use prometheus_client::registry::Registry;
+use tokio_util::sync::CancellationToken;
+use tonic::body::Body;
+use tower_layer::Layer;
+use tower_service::Service;
+use tracing_subscriber::EnvFilter;
+
+/// Seconds; from a cached tile to a long render.
+const BUCKETS: [f64; 14] = [0.001, 0.002, 0.005, 0.01, 0.02, 0.033, 0.06, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 30.0];
+
+/// Logs as `filter` says, on standard error.
+pub fn start_logging(filter: &str) {
+    let filter = filter.parse::<EnvFilter>().unwrap_or_default();
+    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).with_ansi(false).init();
+}
+
+/// Labels of an rpc: "lumisphere.v1alpha1.Rendering/RenderFrame" and the status code's number.
+#[derive(Debug, Clone, Hash, PartialEq, Eq, EncodeLabelSet)]
+struct RpcLabels {
+    method: String,
+    code: String,
+}
+
+/// Label of a frame's stage: "queue", "pages", "render" or "encode".
+#[derive(Debug, Clone, Hash, PartialEq, Eq, EncodeLabelSet)]
+struct StageLabels {
+    stage: &'static str,
+}
+
+/// Every instrument of the server. Counts of others (cache, jobs) are copied in when scraped.
+pub struct Metrics {
+    registry: Registry,
+    rpc_seconds: Family<RpcLabels, Histogram, fn() -> Histogram>,
+    frame_seconds: Family<StageLabels, Histogram, fn() -> Histogram>,
+    /// Frames rendered and encoded.
+    pub frames: Counter,
+    /// Poses that a newer one overtook.
+    pub poses_overtaken: Counter,
+    /// Renders refused because the queue was full.
+    pub renders_refused: Counter,
+    /// Interact streams open.
+    pub sessions: Gauge,
+    /// Jobs waiting.
+    pub jobs_pending: Gauge,
+    /// Jobs running.
+    pub jobs_running: Gauge,
+    /// Renders waiting or in work.
+    pub renders_waiting: Gauge,
+    /// Pages asked for.
+    pub cache_look_ups: Gauge,
+    /// Found in memory.
+    pub cache_hits: Gauge,
+    /// Read from disk.
+    pub cache_misses: Gauge,
+    /// Dropped to keep the budget.
+    pub cache_evictions: Gauge,
+    /// Bytes held.
+    pub cache_bytes: Gauge,
+}
+
+impl Metrics {
+    /// Everything at zero.
+    pub fn new() -> Self {
+        let histogram: fn() -> Histogram = || Histogram::new(BUCKETS);
+        let mut m = Self {
+            registry: Registry::with_prefix("lumisphere"),
+            rpc_seconds: Family::new_with_constructor(histogram),
+            frame_seconds: Family::new_with_constructor(histogram),
+            frames: Counter::default(),
+            poses_overtaken: Counter::default(),
+            renders_refused: Counter::default(),
+            sessions: Gauge::default(),
+            jobs_pending: Gauge::default(),
+            jobs_running: Gauge::default(),
+            renders_waiting: Gauge::default(),
+            cache_look_ups: Gauge::default(),
+            cache_hits: Gauge::default(),
+            cache_misses: Gauge::default(),
+            cache_evictions: Gauge::default(),
+            cache_bytes: Gauge::default(),
+        };
+        let r = &mut m.registry;
+        r.register("rpc_server_call_duration_seconds", "Rpcs until their last byte, by method and status code", m.rpc_seconds.clone());
+        r.register("render_frame_seconds", "Frames by stage", m.frame_seconds.clone());
+        r.register("render_frames", "Frames rendered and encoded", m.frames.clone());
+        r.register("poses_overtaken", "Poses that a newer one overtook", m.poses_overtaken.clone());
+        r.register("renders_refused", "Renders refused because the queue was full", m.renders_refused.clone());
+        r.register("sessions_active", "Interact streams open", m.sessions.clone());
+        r.register("jobs_pending", "Jobs waiting", m.jobs_pending.clone());
+        r.register("jobs_running", "Jobs running", m.jobs_running.clone());
+        r.register("renders_waiting", "Renders waiting or in work", m.renders_waiting.clone());
+        r.register("cache_look_ups", "Texture pages asked for since start or reset", m.cache_look_ups.clone());
+        r.register("cache_hits", "Texture pages found in memory since start or reset", m.cache_hits.clone());
+        r.register("cache_misses", "Texture pages read from disk since start or reset", m.cache_misses.clone());
+        r.register("cache_evictions", "Texture pages dropped to keep the budget since start or reset", m.cache_evictions.clone());
+        r.register("cache_bytes", "Bytes of texture pages in memory", m.cache_bytes.clone());
+        m
+    }
+
+    /// One frame's stage took so long.
+    pub fn frame_stage(&self, stage: &'static str, micros: u64) {
+        self.frame_seconds.get_or_create(&StageLabels { stage }).observe(micros as f64 * 1e-6);
+    }
+
+    fn encode(&self) -> Result<String, std::fmt::Error> {
+        let mut text = String::new();
+        prometheus_client::encoding::text::encode(&mut text, &self.registry)?;
+        Ok(text)
+    }
+}
+
+/// What the second port needs to answer.
+pub struct Observed {
+    /// All instruments.
+    pub metrics: Arc<Metrics>,
+    /// Copies counts of others into the instruments.
+    pub refresh: Box<dyn Fn(&Metrics) + Send + Sync>,
+    /// Cancelled once the server stops.
+    pub stopping: CancellationToken,
+}
+
+/// `/metrics`, `/healthz` (the process answers) and `/readyz` (it takes new work).
+pub fn http_routes(observed: Arc<Observed>) -> Router {
+    let metrics = async |State(o): State<Arc<Observed>>| {
+        (o.refresh)(&o.metrics);
+        let text = o.metrics.encode().map_err(|_| StatusCode::INTERNAL_SERVER_ERROR)?;
+        Ok::<_, StatusCode>(([("content-type", "application/openmetrics-text; version=1.0.0; charset=utf-8")], text))
+    };
+    let ready = async |State(o): State<Arc<Observed>>| match o.stopping.is_cancelled() {
+        false => (StatusCode::OK, "ready\n"),
+        true => (StatusCode::SERVICE_UNAVAILABLE, "stopping\n"),
+    };
+    Router::new()
+        .route("/metrics", get(metrics))
+        .route("/healthz", get(async || "alive\n"))
+        .route("/readyz", get(ready))
+        .with_state(observed)
+}
+
+/// Measures every rpc from its first byte to its trailers.
+#[derive(Clone)]
+pub struct RpcMetrics {
+    /// Where to.
+    pub metrics: Arc<Metrics>,
+}
+
+impl<S> Layer<S> for RpcMetrics {
+    type Service = Measured<S>;
+
+    fn layer(&self, inner: S) -> Measured<S> {
+        Measured { inner, metrics: self.metrics.clone() }
+    }
+}
+
+/// A service whose rpcs are measured.
+#[derive(Clone)]
+pub struct Measured<S> {
+    inner: S,
+    metrics: Arc<Metrics>,
+}
+
+impl<S> Service<http::Request<Body>> for Measured<S>
+where
+    S: Service<http::Request<Body>, Response = http::Response<Body>>,
+    S::Future: Send + 'static,
+{
+    type Response = http::Response<Body>;
+    type Error = S::Error;
+    type Future = Pin<Box<dyn Future<Output = Result<Self::Response, S::Error>> + Send>>;
+
+    fn poll_ready(&mut self, cx: &mut Context<'_>) -> Poll<Result<(), S::Error>> {
+        self.inner.poll_ready(cx)
+    }
+
+    fn call(&mut self, request: http::Request<Body>) -> Self::Future {
+        let measure = Measure { metrics: self.metrics.clone(), path: request.uri().path().into(), begun: Instant::now(), code: None };
+        let answer = self.inner.call(request);
+        Box::pin(async move {
+            let mut measure = measure;
+            let response = answer.await?;
+            measure.code = status_of(response.headers());
+            Ok(response.map(|body| Body::new(MeasuredBody { body, measure })))
+        })
+    }
+}
+
+/// Observes once, when dropped: at the trailers, or when the client has left.
+struct Measure {
+    metrics: Arc<Metrics>,
+    path: String,
+    begun: Instant,
+    code: Option<String>,
+}
+
+impl Drop for Measure {
+    fn drop(&mut self) {
+        let method = self.path.trim_start_matches('/');
+        // A label value for every path that anyone may try would fill the memory; code 12 is UNIMPLEMENTED.
+        let known = self.code.as_deref() != Some("12") && method.len() < 128;
+        let method = if known { method.to_string() } else { "unknown".to_string() };
+        // No status: the client left first, which gRPC calls CANCELLED (1).
+        let code = self.code.take().unwrap_or_else(|| "1".into());
+        self.metrics.rpc_seconds.get_or_create(&RpcLabels { method, code }).observe(self.begun.elapsed().as_secs_f64());
+    }
+}
+
+fn status_of(headers: &http::HeaderMap) -> Option<String> {
+    headers.get("grpc-status").and_then(|v| v.to_str().ok()).map(String::from)
+}
+
+struct MeasuredBody {
+    body: Body,
+    measure: Measure,
+}
+
+impl http_body::Body for MeasuredBody {
+    type Data = bytes::Bytes;
+    type Error = tonic::Status;
+
+    fn poll_frame(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Option<Result<Frame<Self::Data>, Self::Error>>> {
+        let frame = ready!(Pin::new(&mut self.body).poll_frame(cx));
+        if let Some(Ok(frame)) = &frame
+            && let Some(trailers) = frame.trailers_ref()
+        {
+            self.measure.code = status_of(trailers);
+        }
+        Poll::Ready(frame)
+    }
+
+    fn is_end_stream(&self) -> bool {
+        self.body.is_end_stream()
+    }
+
+    fn size_hint(&self) -> SizeHint {
+        self.body.size_hint()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_instrument_is_scraped_and_paths_that_nobody_serves_share_a_label() {
+        let metrics = Arc::new(Metrics::new());
+        metrics.frame_stage("render", 12_000);
+        metrics.frames.inc();
+        let measure = |path: &str, code: Option<&str>| {
+            drop(Measure { metrics: metrics.clone(), path: path.into(), begun: Instant::now(), code: code.map(String::from) });
+        };
+        measure("/lumisphere.v1alpha1.Jobs/GetJob", Some("5"));
+        measure("/wp-login.php", Some("12"));
+        measure("/x.Y/Z", Some("12"));
+        let text = metrics.encode().unwrap();
+        assert!(text.contains("lumisphere_render_frames_total 1"), "{text}");
+        assert!(text.contains("lumisphere_render_frame_seconds_bucket{le=\"0.02\",stage=\"render\"} 1"), "{text}");
+        assert!(
+            text.contains("lumisphere_rpc_server_call_duration_seconds_count{method=\"lumisphere.v1alpha1.Jobs/GetJob\",code=\"5\"} 1"),
+            "{text}"
+        );
+        assert!(text.contains("_count{method=\"unknown\",code=\"12\"} 2") && !text.contains("wp-login"), "{text}");
+    }
+}

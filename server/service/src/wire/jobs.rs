@@ -1,0 +1,454 @@
+//! Job specifications in, jobs out.
+
+use lumisphere::geometry::Camera;
+use lumisphere::representations::offset_surface_light_field::Spacing;
+use lumisphere::textures::{ContentHash, PixelFormat};
+use prost::Message;
+
+use super::scenes::{SceneSource, scene_source};
+use super::settings::{Output, RenderSettings, output, render_settings};
+use super::{camera, count, dataset_name, positive, proto, required, timestamp, within};
+use crate::errors::ApiError;
+use crate::jobs::{JobView, Outcome, State};
+
+const MAX_SETTINGS: usize = 64;
+const MAX_REQUEST_ID_BYTES: usize = 64;
+
+/// What a job is to do, checked.
+#[derive(Debug, Clone, PartialEq)]
+pub enum JobSpec {
+    /// Scene to dataset version.
+    Capture(CaptureSpec),
+    /// Dataset version to table of errors.
+    Evaluate(EvaluateSpec),
+    /// Dataset version to frames.
+    PathRender(PathRenderSpec),
+}
+
+/// Scene to dataset version.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CaptureSpec {
+    /// What is read.
+    pub scene: SceneSource,
+    /// As it came, to be kept with the version.
+    pub scene_message: proto::SceneSource,
+    /// Which of its objects.
+    pub object: String,
+    /// Which dataset gets a version.
+    pub dataset: String,
+    /// Off the surface, scene units; None: a part of the object's size.
+    pub epsilon: Option<f32>,
+    /// How far apart sample points lie.
+    pub spacing: Spacing,
+    /// Along a face's edge.
+    pub face_size_texels: u32,
+    /// Paths.
+    pub samples_per_texel: u32,
+    /// 1 = direct light only.
+    pub max_bounces: u32,
+    /// Along a sample map's edge.
+    pub sample_map_size_texels: u32,
+    /// Of stored pages.
+    pub pixel_format: PixelFormat,
+    /// Of the random numbers.
+    pub seed: u64,
+}
+
+/// From where.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Views {
+    /// One by one.
+    Cameras(Vec<Camera>),
+    /// A circle.
+    Orbit(Orbit),
+}
+
+/// Cameras on a circle around the object.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Orbit {
+    /// How many.
+    pub count: u32,
+    /// Image size.
+    pub width_px: u32,
+    /// Image size.
+    pub height_px: u32,
+    /// Vertical.
+    pub vfov_deg: f32,
+    /// Above the horizon.
+    pub elevation_deg: f32,
+    /// In radii of the object's bounding sphere.
+    pub distance_radii: f32,
+    /// Of the first, from +Z toward +X.
+    pub azimuth_deg: f32,
+}
+
+/// What is true.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Truth {
+    /// One mirror reflection over the diffuse scene.
+    OneReflection,
+    /// A mirror that sees itself as one.
+    PhysicalMirror,
+}
+
+/// Dataset version to table of errors.
+#[derive(Debug, Clone, PartialEq)]
+pub struct EvaluateSpec {
+    /// Which.
+    pub dataset: String,
+    /// 0: the latest.
+    pub version: u64,
+    /// From where.
+    pub views: Views,
+    /// Paths per pixel.
+    pub truth_samples_per_pixel: u32,
+    /// What to compare.
+    pub settings: Vec<RenderSettings>,
+    /// With what.
+    pub truths: Vec<Truth>,
+    /// Of the truth's random numbers.
+    pub seed: u64,
+    /// Of the truth's paths; None: as captured.
+    pub max_bounces: Option<u32>,
+}
+
+/// Dataset version to frames.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PathRenderSpec {
+    /// Which.
+    pub dataset: String,
+    /// 0: the latest.
+    pub version: u64,
+    /// From where.
+    pub views: Views,
+    /// What.
+    pub settings: RenderSettings,
+    /// How it is returned.
+    pub output: Output,
+}
+
+/// Limits that specifications are held to.
+#[derive(Debug, Clone, Copy)]
+pub struct SpecLimits {
+    /// Width · height.
+    pub max_pixels: u64,
+    /// In one job.
+    pub max_cameras: usize,
+}
+
+impl JobSpec {
+    /// "capture", "evaluate" or "path_render".
+    pub fn kind(&self) -> &'static str {
+        match self {
+            Self::Capture(_) => "capture",
+            Self::Evaluate(_) => "evaluate",
+            Self::PathRender(_) => "path_render",
+        }
+    }
+
+    /// The dataset and version that it reads; version 0 is the latest.
+    pub fn reads(&self) -> Option<(&str, u64)> {
+        match self {
+            Self::Capture(_) => None,
+            Self::Evaluate(e) => Some((&e.dataset, e.version)),
+            Self::PathRender(p) => Some((&p.dataset, p.version)),
+        }
+    }
+
+    /// The settings that it renders with.
+    pub fn settings(&self) -> &[RenderSettings] {
+        match self {
+            Self::Capture(_) => &[],
+            Self::Evaluate(e) => &e.settings,
+            Self::PathRender(p) => std::slice::from_ref(&p.settings),
+        }
+    }
+}
+
+/// A checked specification; field paths begin with "spec".
+pub fn job_spec(message: Option<proto::JobSpec>, limits: &SpecLimits) -> Result<JobSpec, ApiError> {
+    use proto::job_spec::Spec;
+    Ok(match required(required(message, "spec")?.spec, "spec.spec")? {
+        Spec::Capture(m) => JobSpec::Capture(capture(m, "spec.capture")?),
+        Spec::Evaluate(m) => JobSpec::Evaluate(evaluate(m, limits, "spec.evaluate")?),
+        Spec::PathRender(m) => JobSpec::PathRender(path_render(m, limits, "spec.path_render")?),
+    })
+}
+
+/// BLAKE3 of a specification as it came.
+pub fn digest(message: &proto::JobSpec) -> String {
+    ContentHash::of(&message.encode_to_vec()).to_string()
+}
+
+/// The bytes under which a specification is remembered, `version = 0` replaced by what it stood for.
+pub fn remembered(mut message: proto::JobSpec, version: Option<u64>) -> Vec<u8> {
+    use proto::job_spec::Spec;
+    match (&mut message.spec, version) {
+        (Some(Spec::Evaluate(m)), Some(version)) => m.version = version,
+        (Some(Spec::PathRender(m)), Some(version)) => m.version = version,
+        (Some(Spec::Capture(_)) | None, _) | (_, None) => {}
+    }
+    message.encode_to_vec()
+}
+
+/// The message that was remembered.
+pub fn recalled(bytes: &[u8]) -> Result<proto::JobSpec, ApiError> {
+    proto::JobSpec::decode(bytes).map_err(|e| ApiError::internal(format!("a job record holds no specification: {e}")))
+}
+
+/// The client's name for its request.
+pub fn request_id(text: String) -> Result<String, ApiError> {
+    match text.len() <= MAX_REQUEST_ID_BYTES {
+        true => Ok(text),
+        false => Err(ApiError::field("request_id", format!("{} bytes, at most {MAX_REQUEST_ID_BYTES} expected", text.len()))),
+    }
+}
+
+fn capture(m: proto::CaptureSpec, field: &str) -> Result<CaptureSpec, ApiError> {
+    use proto::capture_spec::Density;
+    let at = |name: &str| format!("{field}.{name}");
+    if m.object.is_empty() {
+        return Err(ApiError::field(at("object"), "missing"));
+    }
+    let spacing = match m.density {
+        None => Spacing::Count(1000),
+        Some(Density::Spacing(distance)) => Spacing::Distance(positive(distance, &at("spacing"))?),
+        Some(Density::SamplePoints(0)) => return Err(ApiError::field(at("sample_points"), "0, 4 to 65534 expected")),
+        Some(Density::SamplePoints(points)) => Spacing::Count(count(points, 0, 4, 65_534, &at("sample_points"))?),
+    };
+    let face_size_texels = count(m.face_size_texels, 128, 16, 1024, &at("face_size_texels"))?;
+    if face_size_texels % 16 != 0 {
+        return Err(ApiError::field(at("face_size_texels"), format!("{face_size_texels}, a multiple of 16 expected")));
+    }
+    let pixel_format = match proto::PixelFormat::try_from(m.pixel_format) {
+        Ok(proto::PixelFormat::Unspecified | proto::PixelFormat::F16) => PixelFormat::F16,
+        Ok(proto::PixelFormat::F32) => PixelFormat::F32,
+        Err(_) => return Err(ApiError::field(at("pixel_format"), format!("{}, F16 or F32 expected", m.pixel_format))),
+    };
+    Ok(CaptureSpec {
+        scene: scene_source(m.scene.clone(), &at("scene"))?,
+        scene_message: required(m.scene, &at("scene"))?,
+        object: m.object,
+        dataset: dataset_name(&m.dataset, &at("dataset"))?,
+        epsilon: if m.offset == 0.0 { None } else { Some(positive(m.offset, &at("offset"))?) },
+        spacing,
+        face_size_texels,
+        samples_per_texel: count(m.samples_per_texel, 64, 1, 65_536, &at("samples_per_texel"))?,
+        max_bounces: count(m.max_bounces, 8, 1, 64, &at("max_bounces"))?,
+        sample_map_size_texels: count(m.sample_map_size_texels, 256, 16, 1024, &at("sample_map_size_texels"))?,
+        pixel_format,
+        seed: m.seed,
+    })
+}
+
+fn evaluate(m: proto::EvaluateSpec, limits: &SpecLimits, field: &str) -> Result<EvaluateSpec, ApiError> {
+    use proto::evaluate_spec::Views as Message;
+    let at = |name: &str| format!("{field}.{name}");
+    let views = match required(m.views, &at("views"))? {
+        Message::Cameras(list) => cameras(list, limits, &at("cameras"))?,
+        Message::Orbit(m) => Views::Orbit(orbit(m, limits, &at("orbit"))?),
+    };
+    if m.settings.is_empty() || m.settings.len() > MAX_SETTINGS {
+        return Err(ApiError::field(at("settings"), format!("{} settings, 1 to {MAX_SETTINGS} expected", m.settings.len())));
+    }
+    let settings = m.settings.into_iter().enumerate().map(|(i, s)| render_settings(Some(s), &format!("{field}.settings[{i}]")));
+    let truth = |(i, number): (usize, &i32)| match proto::Truth::try_from(*number) {
+        Ok(proto::Truth::OneReflection) => Ok(Truth::OneReflection),
+        Ok(proto::Truth::PhysicalMirror) => Ok(Truth::PhysicalMirror),
+        Ok(proto::Truth::Unspecified) | Err(_) => {
+            Err(ApiError::field(format!("{field}.truths[{i}]"), format!("{number}, ONE_REFLECTION or PHYSICAL_MIRROR expected")))
+        }
+    };
+    if m.truths.len() > 2 {
+        return Err(ApiError::field(at("truths"), format!("{} truths, at most 2 expected", m.truths.len())));
+    }
+    let mut truths: Vec<Truth> = m.truths.iter().enumerate().map(truth).collect::<Result<_, _>>()?;
+    truths.dedup();
+    if truths.is_empty() {
+        truths.push(Truth::OneReflection);
+    }
+    Ok(EvaluateSpec {
+        dataset: dataset_name(&m.dataset, &at("dataset"))?,
+        version: m.version,
+        views,
+        truth_samples_per_pixel: count(m.truth_samples_per_pixel, 256, 1, 65_536, &at("truth_samples_per_pixel"))?,
+        settings: settings.collect::<Result<_, _>>()?,
+        truths,
+        seed: m.seed,
+        max_bounces: if m.max_bounces == 0 { None } else { Some(count(m.max_bounces, 0, 1, 64, &at("max_bounces"))?) },
+    })
+}
+
+fn path_render(m: proto::PathRenderSpec, limits: &SpecLimits, field: &str) -> Result<PathRenderSpec, ApiError> {
+    use proto::path_render_spec::Views as Message;
+    let at = |name: &str| format!("{field}.{name}");
+    let views = match required(m.views, &at("views"))? {
+        Message::Cameras(list) => cameras(list, limits, &at("cameras"))?,
+        Message::Orbit(m) => Views::Orbit(orbit(m, limits, &at("orbit"))?),
+    };
+    Ok(PathRenderSpec {
+        dataset: dataset_name(&m.dataset, &at("dataset"))?,
+        version: m.version,
+        views,
+        settings: render_settings(m.settings, &at("settings"))?,
+        output: output(m.output, &at("output"))?,
+    })
+}
+
+fn cameras(list: proto::CameraList, limits: &SpecLimits, field: &str) -> Result<Views, ApiError> {
+    let number = list.cameras.len();
+    if number == 0 || number > limits.max_cameras {
+        return Err(ApiError::field(format!("{field}.cameras"), format!("{number} cameras, 1 to {} expected", limits.max_cameras)));
+    }
+    let checked = |(i, c)| camera::camera(Some(c), limits.max_pixels, &format!("{field}.cameras[{i}]"));
+    list.cameras.into_iter().enumerate().map(checked).collect::<Result<_, _>>().map(Views::Cameras)
+}
+
+fn orbit(m: proto::OrbitPath, limits: &SpecLimits, field: &str) -> Result<Orbit, ApiError> {
+    let at = |name: &str| format!("{field}.{name}");
+    let most = u32::try_from(limits.max_cameras).unwrap_or(u32::MAX);
+    let orbit = Orbit {
+        count: count(m.count, 8, 1, most, &at("count"))?,
+        width_px: count(m.width_px, 640, 1, 1 << 20, &at("width_px"))?,
+        height_px: count(m.height_px, 480, 1, 1 << 20, &at("height_px"))?,
+        vfov_deg: or_default(m.vertical_field_of_view_deg, 40.0, 1.0, 179.0, &at("vertical_field_of_view_deg"))?,
+        elevation_deg: within(m.elevation_deg.unwrap_or(25.0), -89.0, 89.0, &at("elevation_deg"))?,
+        distance_radii: or_default(m.distance_radii, 3.5, 1.0, 1e6, &at("distance_radii"))?,
+        azimuth_deg: within(m.azimuth_deg, -360_000.0, 360_000.0, &at("azimuth_deg"))?,
+    };
+    let pixels = u64::from(orbit.width_px) * u64::from(orbit.height_px);
+    match pixels <= limits.max_pixels {
+        true => Ok(orbit),
+        false => Err(ApiError::field(at("width_px"), format!("{pixels} pixels, at most {} expected", limits.max_pixels))),
+    }
+}
+
+fn or_default(value: f32, default: f32, least: f32, greatest: f32, field: &str) -> Result<f32, ApiError> {
+    if value == 0.0 { Ok(default) } else { within(value, least, greatest, field) }
+}
+
+/// A job, for its owner.
+pub fn job(view: &JobView) -> Result<proto::Job, ApiError> {
+    let failure = view.failure.clone();
+    Ok(proto::Job {
+        name: view.name(),
+        spec: Some(recalled(&view.spec())?),
+        state: state_number(view.state),
+        create_time: Some(timestamp(view.created_millis)),
+        start_time: view.started_millis.map(timestamp),
+        end_time: view.ended_millis.map(timestamp),
+        progress: Some(progress(view)),
+        error: failure.map(|f| proto::JobError { code: f.code, reason: f.reason, message: f.message }),
+        result: view.outcome.as_ref().map(result),
+        attempt: view.attempt,
+    })
+}
+
+/// A job at some moment, for its watchers.
+pub fn job_event(view: &JobView) -> Result<proto::JobEvent, ApiError> {
+    Ok(proto::JobEvent { sequence: view.sequence, job: Some(job(view)?), time: Some(timestamp(view.at_millis)) })
+}
+
+fn progress(view: &JobView) -> proto::JobProgress {
+    let stage = &view.stage;
+    let fraction = if stage.total == 0 { 0.0 } else { (stage.done as f64 / stage.total as f64).min(1.0) };
+    let seconds_left = stage.seconds_left.filter(|_| !view.state.is_ended());
+    proto::JobProgress { stage: stage.name.clone(), done: stage.done, total: stage.total, fraction, seconds_left }
+}
+
+fn result(outcome: &Outcome) -> proto::JobResult {
+    let (dataset, dataset_version) = outcome.published.clone().unwrap_or_default();
+    let blob = |b: &crate::jobs::ResultBlob| proto::ResultBlob {
+        name: b.name.clone(),
+        media_type: b.media_type.clone(),
+        blake3: b.blake3.clone(),
+        size_bytes: b.size_bytes,
+    };
+    proto::JobResult {
+        dataset,
+        dataset_version,
+        blobs: outcome.blobs.iter().map(blob).collect(),
+        summary_json: outcome.summary_json.clone(),
+    }
+}
+
+fn state_number(state: State) -> i32 {
+    (match state {
+        State::Pending => proto::JobState::Pending,
+        State::Running => proto::JobState::Running,
+        State::Cancelling => proto::JobState::Cancelling,
+        State::Succeeded => proto::JobState::Succeeded,
+        State::Failed => proto::JobState::Failed,
+        State::Cancelled => proto::JobState::Cancelled,
+    }) as i32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LIMITS: SpecLimits = SpecLimits { max_pixels: 1_000_000, max_cameras: 3 };
+
+    fn capture_message() -> proto::CaptureSpec {
+        let builtin = proto::BuiltinScene { name: "gazebo".into(), ..Default::default() };
+        proto::CaptureSpec {
+            scene: Some(proto::SceneSource { source: Some(proto::scene_source::Source::Builtin(builtin)), environment: None }),
+            object: "teapot".into(),
+            dataset: "tea".into(),
+            ..Default::default()
+        }
+    }
+
+    fn refused(change: impl FnOnce(&mut proto::CaptureSpec)) -> String {
+        let mut message = capture_message();
+        change(&mut message);
+        let spec = proto::JobSpec { spec: Some(proto::job_spec::Spec::Capture(message)) };
+        job_spec(Some(spec), &LIMITS).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn a_capture_has_the_documented_defaults() {
+        let spec = capture(capture_message(), "c").unwrap();
+        assert_eq!((spec.face_size_texels, spec.samples_per_texel, spec.max_bounces, spec.sample_map_size_texels), (128, 64, 8, 256));
+        assert_eq!((spec.epsilon, spec.spacing, spec.pixel_format), (None, Spacing::Count(1000), PixelFormat::F16));
+    }
+
+    #[test]
+    fn a_capture_out_of_range_is_refused_by_field() {
+        assert!(refused(|c| c.object.clear()).starts_with("spec.capture.object: missing"));
+        assert!(refused(|c| c.dataset = "../x".into()).starts_with("spec.capture.dataset: \"../x\""));
+        assert!(refused(|c| c.scene = None).starts_with("spec.capture.scene: missing"));
+        assert!(refused(|c| c.offset = f32::NAN).starts_with("spec.capture.offset: NaN"));
+        assert!(refused(|c| c.offset = -1.0).starts_with("spec.capture.offset: -1"));
+        assert!(refused(|c| c.face_size_texels = 100).contains("a multiple of 16"));
+        assert!(refused(|c| c.face_size_texels = 1 << 31).starts_with("spec.capture.face_size_texels"));
+        assert!(refused(|c| c.density = Some(proto::capture_spec::Density::SamplePoints(3))).contains("4 to 65534"));
+        assert!(refused(|c| c.density = Some(proto::capture_spec::Density::Spacing(0.0))).starts_with("spec.capture.spacing: 0"));
+        assert!(refused(|c| c.pixel_format = 5).starts_with("spec.capture.pixel_format: 5"));
+    }
+
+    #[test]
+    fn views_are_bounded_in_number_and_size() {
+        let list = |n| proto::CameraList { cameras: vec![proto::Camera::default(); n] };
+        assert!(cameras(list(0), &LIMITS, "v").unwrap_err().to_string().contains("1 to 3"));
+        assert!(cameras(list(4), &LIMITS, "v").unwrap_err().to_string().contains("1 to 3"));
+        assert!(cameras(list(1), &LIMITS, "v").unwrap_err().to_string().starts_with("v.cameras[0].intrinsics"));
+        let with = |m: proto::OrbitPath| orbit(m, &SpecLimits { max_cameras: 10, ..LIMITS }, "o");
+        assert_eq!(with(proto::OrbitPath::default()).unwrap().count, 8);
+        assert!(
+            with(proto::OrbitPath { width_px: 2000, height_px: 2000, ..Default::default() }).unwrap_err().to_string().contains("4000000")
+        );
+        assert!(with(proto::OrbitPath { distance_radii: 0.5, ..Default::default() }).is_err());
+        assert!(with(proto::OrbitPath { elevation_deg: Some(f32::NAN), ..Default::default() }).is_err());
+    }
+
+    #[test]
+    fn what_is_remembered_pins_the_version() {
+        let spec = proto::path_render_spec::Views::Orbit(proto::OrbitPath::default());
+        let spec = proto::PathRenderSpec { dataset: "tea".into(), views: Some(spec), ..Default::default() };
+        let message = proto::JobSpec { spec: Some(proto::job_spec::Spec::PathRender(spec)) };
+        let Some(proto::job_spec::Spec::PathRender(back)) = recalled(&remembered(message, Some(7))).unwrap().spec else { panic!() };
+        assert_eq!((back.version, back.dataset.as_str()), (7, "tea"));
+        assert!(recalled(&[0xff, 0xff]).is_err());
+    }
+}

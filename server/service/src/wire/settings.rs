@@ -1,0 +1,211 @@
+//! How to render and what to return.
+
+use glam::Vec3;
+use lumisphere::images::JpegQuality;
+use lumisphere::representations::offset_surface_light_field as oslf;
+use lumisphere::representations::{Kind, Settings};
+
+use super::camera::vec3;
+use super::{proto, required, within};
+use crate::config::BackendChoice;
+use crate::errors::{ApiError, Reason};
+
+/// Default N of the blends that have one.
+const DEFAULT_EXPONENT: f32 = 4.0;
+const DEFAULT_JPEG_QUALITY: u8 = 90;
+
+/// What to compute and where.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RenderSettings {
+    /// By kind.
+    pub settings: Settings,
+    /// Where.
+    pub backend: BackendChoice,
+}
+
+/// What is returned.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Output {
+    /// Of the colour.
+    pub encoding: Encoding,
+    /// Return distances.
+    pub depth: bool,
+    /// Return where each pixel comes from.
+    pub provenance: bool,
+}
+
+/// Encodings of colour.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Encoding {
+    /// Interleaved f32, one zstd frame.
+    RawZstd,
+    /// 8-bit sRGB.
+    Png {
+        /// Radiance is scaled by 2^stops.
+        exposure_stops: f32,
+    },
+    /// 8-bit sRGB.
+    Jpeg {
+        /// 1 to 100.
+        quality: JpegQuality,
+        /// Radiance is scaled by 2^stops.
+        exposure_stops: f32,
+    },
+    /// f32 R G B.
+    Exr,
+}
+
+/// Checked settings; `field` is their path.
+pub fn render_settings(message: Option<proto::RenderSettings>, field: &str) -> Result<RenderSettings, ApiError> {
+    use proto::render_settings::Representation;
+    let message = required(message, field)?;
+    let settings = match required(message.representation, &format!("{field}.representation"))? {
+        Representation::OffsetSurfaceLightField(m) => {
+            Settings::OffsetSurfaceLightField(oslf_settings(m, &format!("{field}.offset_surface_light_field"))?)
+        }
+    };
+    let backend = match proto::Backend::try_from(message.backend) {
+        Ok(proto::Backend::Unspecified) => BackendChoice::Auto,
+        Ok(proto::Backend::Gpu) => BackendChoice::Gpu,
+        Ok(proto::Backend::Cpu) => BackendChoice::Cpu,
+        Err(_) => return Err(ApiError::field(format!("{field}.backend"), format!("{}, GPU or CPU expected", message.backend))),
+    };
+    Ok(RenderSettings { settings, backend })
+}
+
+/// The kind of dataset that settings are for.
+pub fn kind_of(settings: &Settings) -> Kind {
+    match settings {
+        Settings::OffsetSurfaceLightField(_) => Kind::OffsetSurfaceLightField,
+    }
+}
+
+/// Refuses settings for another kind than the dataset's.
+pub fn check_kind(settings: &Settings, dataset_kind: &str) -> Result<(), ApiError> {
+    let kind = kind_of(settings).name();
+    match kind == dataset_kind {
+        true => Ok(()),
+        false => {
+            Err(ApiError::new(Reason::DatasetKindMismatch, format!("the dataset holds {dataset_kind:?}, the settings are for {kind:?}")))
+        }
+    }
+}
+
+fn oslf_settings(message: proto::OffsetSurfaceLightFieldSettings, field: &str) -> Result<oslf::Settings, ApiError> {
+    let component = component(message.component, &format!("{field}.component"))?;
+    let exponent = within(message.exponent.unwrap_or(DEFAULT_EXPONENT), 0.0, 10_000.0, &format!("{field}.exponent"))?;
+    let blend = match component {
+        // Ignored there, so anything will do, nonsense included.
+        oslf::Component::Reconstruction => oslf::Blend::Distance,
+        oslf::Component::Mirror | oslf::Component::Full => blend(message.blend, exponent, &format!("{field}.blend"))?,
+    };
+    let specular_reflectance = message.specular_reflectance.map_or(Vec3::ONE, vec3);
+    for (channel, value) in ["x", "y", "z"].into_iter().zip(specular_reflectance.to_array()) {
+        within(value, 0.0, 1.0, &format!("{field}.specular_reflectance.{channel}"))?;
+    }
+    Ok(oslf::Settings { component, blend, specular_reflectance })
+}
+
+fn component(value: i32, field: &str) -> Result<oslf::Component, ApiError> {
+    use proto::offset_surface_light_field_settings::Component;
+    match Component::try_from(value) {
+        Ok(Component::Reconstruction) => Ok(oslf::Component::Reconstruction),
+        Ok(Component::Mirror) => Ok(oslf::Component::Mirror),
+        Ok(Component::Full) => Ok(oslf::Component::Full),
+        Ok(Component::Unspecified) | Err(_) => Err(ApiError::field(field, format!("{value}, RECONSTRUCTION, MIRROR or FULL expected"))),
+    }
+}
+
+fn blend(value: i32, exponent: f32, field: &str) -> Result<oslf::Blend, ApiError> {
+    use proto::offset_surface_light_field_settings::Blend;
+    match Blend::try_from(value) {
+        Ok(Blend::Distance) => Ok(oslf::Blend::Distance),
+        Ok(Blend::Angle) => Ok(oslf::Blend::Angle),
+        Ok(Blend::Average) => Ok(oslf::Blend::Average),
+        Ok(Blend::Reflection) => Ok(oslf::Blend::Reflection { exponent }),
+        Ok(Blend::Normal) => Ok(oslf::Blend::Normal { exponent }),
+        Ok(Blend::EnvironmentMap) => Ok(oslf::Blend::EnvironmentMap),
+        Ok(Blend::Unspecified) | Err(_) => {
+            let expected = "DISTANCE, ANGLE, AVERAGE, REFLECTION, NORMAL or ENVIRONMENT_MAP expected";
+            Err(ApiError::field(field, format!("{value}, {expected}")))
+        }
+    }
+}
+
+/// Checked output; `field` is its path.
+pub fn output(message: Option<proto::OutputSettings>, field: &str) -> Result<Output, ApiError> {
+    let message = required(message, field)?;
+    let exposure_stops = within(message.exposure_stops, -30.0, 30.0, &format!("{field}.exposure_stops"))?;
+    let quality = match message.jpeg_quality {
+        0 => Some(DEFAULT_JPEG_QUALITY),
+        q => u8::try_from(q).ok(),
+    };
+    let quality = quality.and_then(JpegQuality::new);
+    let quality =
+        quality.ok_or_else(|| ApiError::field(format!("{field}.jpeg_quality"), format!("{}, 1 to 100 expected", message.jpeg_quality)))?;
+    let encoding = match proto::Encoding::try_from(message.encoding) {
+        Ok(proto::Encoding::RawZstd) => Encoding::RawZstd,
+        Ok(proto::Encoding::Png) => Encoding::Png { exposure_stops },
+        Ok(proto::Encoding::Jpeg) => Encoding::Jpeg { quality, exposure_stops },
+        Ok(proto::Encoding::Exr) => Encoding::Exr,
+        Ok(proto::Encoding::Unspecified) | Err(_) => {
+            return Err(ApiError::field(format!("{field}.encoding"), format!("{}, RAW_ZSTD, PNG, JPEG or EXR expected", message.encoding)));
+        }
+    };
+    Ok(Output { encoding, depth: message.want_depth, provenance: message.want_provenance })
+}
+
+/// On the wire.
+pub fn encoding_number(encoding: Encoding) -> i32 {
+    (match encoding {
+        Encoding::RawZstd => proto::Encoding::RawZstd,
+        Encoding::Png { .. } => proto::Encoding::Png,
+        Encoding::Jpeg { .. } => proto::Encoding::Jpeg,
+        Encoding::Exr => proto::Encoding::Exr,
+    }) as i32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn message(component: i32, blend: i32) -> proto::OffsetSurfaceLightFieldSettings {
+        proto::OffsetSurfaceLightFieldSettings { component, blend, exponent: None, specular_reflectance: None }
+    }
+
+    #[test]
+    fn unknown_components_and_blends_are_refused_by_field() {
+        let refused = |c, b| oslf_settings(message(c, b), "s").unwrap_err().to_string();
+        assert!(refused(0, 1).starts_with("s.component: 0"));
+        assert!(refused(9, 1).starts_with("s.component: 9"));
+        assert!(refused(2, 0).starts_with("s.blend: 0"));
+        assert!(refused(3, 77).starts_with("s.blend: 77"));
+        let nan = proto::OffsetSurfaceLightFieldSettings { exponent: Some(f32::NAN), ..message(2, 4) };
+        assert!(oslf_settings(nan, "s").unwrap_err().to_string().starts_with("s.exponent: NaN"));
+        let bright = proto::OffsetSurfaceLightFieldSettings {
+            specular_reflectance: Some(proto::Vector3 { x: 1.0, y: 1.5, z: 0.0 }),
+            ..message(2, 4)
+        };
+        assert!(oslf_settings(bright, "s").unwrap_err().to_string().starts_with("s.specular_reflectance.y: 1.5"));
+    }
+
+    #[test]
+    fn a_reconstruction_needs_no_blend_and_the_exponent_defaults_to_four() {
+        assert_eq!(oslf_settings(message(1, 0), "s").unwrap().component, oslf::Component::Reconstruction);
+        assert_eq!(oslf_settings(message(2, 5), "s").unwrap().blend, oslf::Blend::Normal { exponent: 4.0 });
+        assert_eq!(oslf_settings(message(2, 5), "s").unwrap().specular_reflectance, Vec3::ONE);
+    }
+
+    #[test]
+    fn outputs_have_an_encoding_and_a_sensible_quality() {
+        let with = |encoding, jpeg_quality, exposure_stops| {
+            output(Some(proto::OutputSettings { encoding, jpeg_quality, exposure_stops, ..Default::default() }), "o")
+        };
+        assert!(matches!(with(3, 0, 1.0).unwrap().encoding, Encoding::Jpeg { exposure_stops: 1.0, .. }));
+        assert!(with(0, 0, 0.0).unwrap_err().to_string().starts_with("o.encoding: 0"));
+        assert!(with(5, 0, 0.0).unwrap_err().to_string().starts_with("o.encoding: 5"));
+        assert!(with(3, 101, 0.0).unwrap_err().to_string().starts_with("o.jpeg_quality: 101"));
+        assert!(with(3, 300, 0.0).unwrap_err().to_string().starts_with("o.jpeg_quality: 300"));
+        assert!(with(2, 0, f32::NAN).unwrap_err().to_string().starts_with("o.exposure_stops: NaN"));
+    }
+}

@@ -1,0 +1,60 @@
+//! What jobs do: capture, evaluate, render a path.
+
+mod capture;
+mod evaluate;
+mod path_render;
+mod scene;
+mod views;
+
+use std::sync::Arc;
+
+use lumisphere::textures::ContentHash;
+use tokio::runtime::Handle;
+
+use crate::catalog::{Catalog, OpenedVersion};
+use crate::errors::ApiError;
+use crate::frames::Frames;
+use crate::jobs::{Attempt, JobBody, Outcome, ResultBlob};
+use crate::wire::jobs::{JobSpec, SpecLimits, job_spec, recalled};
+
+/// What jobs work with. Runs on the jobs' own threads, never on a tokio worker.
+pub struct Work {
+    /// Where datasets and results go.
+    pub catalog: Arc<Catalog>,
+    /// Renders one frame at a time, behind all viewers.
+    pub frames: Frames,
+    /// To wait for a frame.
+    pub runtime: Handle,
+    /// What specifications were held to when they were submitted; the configuration may have changed since.
+    pub limits: SpecLimits,
+}
+
+impl JobBody for Work {
+    fn run(&self, spec: &[u8], attempt: &Attempt) -> Result<Outcome, ApiError> {
+        match job_spec(Some(recalled(spec)?), &self.limits)? {
+            JobSpec::Capture(spec) => self.capture(&spec, attempt),
+            JobSpec::Evaluate(spec) => self.evaluate(&spec, attempt),
+            JobSpec::PathRender(spec) => self.path_render(&spec, attempt),
+        }
+    }
+
+    fn forget(&self, results: &[ResultBlob]) {
+        for hash in results.iter().filter_map(|blob| blob.blake3.parse().ok()) {
+            if let Err(error) = self.catalog.store().remove_upload(&hash) {
+                tracing::warn!(%error, "cannot remove the result of an old job");
+            }
+        }
+    }
+}
+
+impl Work {
+    fn open(&self, dataset: &str, version: u64) -> Result<Arc<OpenedVersion>, ApiError> {
+        self.catalog.open_version(dataset, version)
+    }
+
+    /// Keeps a result's bytes.
+    fn keep(&self, name: String, media_type: &str, bytes: &[u8]) -> Result<ResultBlob, ApiError> {
+        let hash: ContentHash = self.catalog.store().put_upload(bytes)?;
+        Ok(ResultBlob { name, media_type: media_type.into(), blake3: hash.to_string(), size_bytes: bytes.len() as u64 })
+    }
+}
