@@ -1,4 +1,4 @@
-//! The scene file, "neutral-scene/1": JSON beside the meshes and pictures it names. Our extensions are listed in the module's documentation.
+//! The scene file, "neutral-scene/1" (the table in `scenes`): JSON beside the meshes and pictures it names.
 //!
 //! Read by the server (uploaded bundles), the client (to pack one) and the tests. Anything the format does not know is refused by
 //! name, except the hints of other programs, so that a slip of the pen does not silently change a picture.

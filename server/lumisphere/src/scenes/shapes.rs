@@ -242,38 +242,42 @@ impl Cloth {
         const SKIRT_ROWS: u32 = 14;
         let uv = |column: u32, row: u32| {
             let (sin, cos) = (TAU * column as f32 / segments as f32).sin_cos();
-            0.5 + 0.5 * self.laid_out(row, TOP_ROWS, SKIRT_ROWS) / (self.radius + self.drop) * Vec2::new(cos, sin)
+            0.5 + 0.5 * self.laid_out(row, TOP_ROWS, SKIRT_ROWS) / self.laid_out_radius() * Vec2::new(cos, sin)
         };
         let position = |column: u32, row: u32| self.hanging(column as f32 / segments as f32, self.laid_out(row, TOP_ROWS, SKIRT_ROWS));
         Arrays::smooth_grid(segments, TOP_ROWS + SKIRT_ROWS, position, uv)
     }
 
-    // Distance from the cloth's centre, measured on the cloth. The bend over the edge needs the narrow rows.
+    // Length of the bend over the table's edge, a quarter circle.
+    fn bend(&self) -> f32 {
+        0.06 * self.radius
+    }
+
+    // From the cloth's centre to its hem, measured on the cloth.
+    fn laid_out_radius(&self) -> f32 {
+        self.radius + self.bend() + self.drop
+    }
+
+    // Distance of a row from the cloth's centre, measured on the cloth. The bend needs the narrow rows.
     fn laid_out(&self, row: u32, top_rows: u32, skirt_rows: u32) -> f32 {
-        let bend = 0.06 * self.radius;
-        match row {
-            0 => 0.0,
-            r if r <= top_rows => (self.radius - bend) * [0.0, 0.5, 0.97, 1.0][(r.min(3)) as usize],
-            r => {
-                let s = (r - top_rows) as f32 / skirt_rows as f32;
-                self.radius - bend + s.powf(1.6) * (self.drop + bend)
-            }
+        if row <= top_rows {
+            return self.radius * row as f32 / top_rows as f32;
         }
+        let s = (row - top_rows) as f32 / skirt_rows as f32;
+        self.radius + s.powf(1.6) * (self.bend() + self.drop)
     }
 
     // Where the cloth's point at `turn` (of a full turn) and `distance` from its centre hangs; the top lies at height 0.
     fn hanging(&self, turn: f32, distance: f32) -> Vec3 {
         let (sin, cos) = (TAU * turn).sin_cos();
-        let bend = 0.06 * self.radius;
-        let over = (distance - (self.radius - bend)).max(0.0);
-        // A quarter circle of length `bend` over the table's edge, then down.
-        let circle = 2.0 * bend / PI;
+        let over = (distance - self.radius).max(0.0);
+        let circle = 2.0 * self.bend() / PI;
         let arc = (over / circle).min(PI / 2.0);
-        let below = (over - bend).max(0.0) / self.drop;
+        let below = (over - self.bend()).max(0.0) / self.drop;
         // Folds open downward; two frequencies, so that no two folds are alike.
         let wave = (TAU * turn * self.folds as f32).cos() + 0.35 * (TAU * turn * (self.folds / 2 + 1) as f32 + 1.0).sin();
-        let radius = distance.min(self.radius - bend) + circle * arc.sin() + self.depth * below.powf(0.8) * (0.55 + wave);
-        let height = -(circle * (1.0 - arc.cos())) - below * self.drop * 0.985;
+        let radius = distance.min(self.radius) + circle * arc.sin() + self.depth * below.powf(0.8) * (0.55 + wave);
+        let height = -circle * (1.0 - arc.cos()) - below * self.drop * 0.985;
         Vec3::new(radius * cos, height, -radius * sin)
     }
 }
@@ -285,9 +289,12 @@ fn blob(center: Vec3, radii: Vec3, roughness: f32, segments: u32, seed: u32) -> 
         let (longitude, polar) = (TAU * column as f32 / segments as f32, PI * row as f32 / rows as f32);
         let pole = row == 0 || row == rows;
         let ring = if pole { 0.0 } else { polar.sin() };
-        let lump = super::noise::unit(seed, if pole { 0 } else { column as i32 }, row as i32);
         let unit = Vec3::new(ring * longitude.cos(), polar.cos(), -ring * longitude.sin());
-        center + radii * unit * (1.0 - roughness * lump)
+        // Lumps a quarter of the girth wide, and leaves from vertex to vertex. Poles are one point.
+        let turn = if pole { 0.0 } else { column as f32 / segments as f32 };
+        let lump = super::noise::value(seed, turn * 8.0, polar * 1.6, 8);
+        let leaf = super::noise::unit(seed, if pole { 0 } else { column as i32 }, row as i32);
+        center + radii * unit * (1.0 - roughness * (0.7 * lump + 0.3 * leaf))
     };
     let uv = |c: u32, r: u32| Vec2::new(c as f32 / segments as f32, 1.0 - r as f32 / rows as f32);
     Arrays::smooth_grid(segments, rows, position, uv)

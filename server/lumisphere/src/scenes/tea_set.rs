@@ -8,7 +8,7 @@ use crate::geometry::BezierPatch;
 pub enum TeaSet {
     /// 32 patches: 12 body, 4 handle, 4 spout, 8 lid, 4 bottom (the last, by F. Crow 1987). Rim diameter 3, height 3.15, spout toward +x.
     Teapot,
-    /// 26 patches, height 0.95, bowl about 0.8 across.
+    /// 26 patches, height 0.95: a cup 0.9 across, double-walled and without bottom, on its saucer, 2 across.
     Teacup,
     /// 16 patches, 1.2 long, along z.
     Teaspoon,

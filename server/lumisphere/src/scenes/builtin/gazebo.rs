@@ -85,6 +85,7 @@ fn materials() -> Value {
         "white paint": plain(0.78, 0.77, 0.74),
         "stone": plain(0.42, 0.40, 0.37),
         "bark": plain(0.16, 0.11, 0.07),
+        "tea": plain(0.22, 0.08, 0.02),
         "orange": plain(0.85, 0.36, 0.04),
         "lemon": plain(0.86, 0.72, 0.08),
         "apple": plain(0.62, 0.05, 0.05),
@@ -114,12 +115,13 @@ fn around(r: f32, y: f32, degrees: f32) -> Vec3 {
     Vec3::new(r * cos, y, r * sin)
 }
 
-/// Azimuth of post `k`; sides lie between posts k and k + 1, side 7 is the entrance (toward +X +Z it would hide the views).
+/// Azimuth of post `k`; side `k` lies between posts k and k + 1.
 fn post_azimuth(k: u32) -> f32 {
     22.5 + 45.0 * k as f32
 }
 
-const ENTRANCE: u32 = 0;
+/// The side without railing, before which the steps lie: toward +Z.
+const ENTRANCE: u32 = 1;
 
 fn table_ware(options: &BuiltinOptions) -> Vec<Value> {
     let patches = |name: &str, piece: &str, material: &str, steps: u32, transform: Value| {
@@ -133,12 +135,14 @@ fn table_ware(options: &BuiltinOptions) -> Vec<Value> {
         patches("teapot", "teapot", "teapot", options.patch_steps, json!({ "translate": [0, TABLE, 0], "rotate_deg": [0, 25, 0] }));
     teapot["first_patches"] = HISTORIC_TEAPOT_PATCHES.into();
     let mut ware = vec![teapot];
-    let saucer = [[0.0, 0.06], [0.55, 0.0], [0.75, 0.0], [1.1, 0.1], [1.75, 0.34], [1.75, 0.40], [1.1, 0.17], [0.7, 0.10], [0.0, 0.10]];
-    for (name, at, turn, material) in [("cup", [3.9f32, 3.4f32], 40.0, "china"), ("second cup", [-4.4, 2.9], 160.0, "blue china")] {
-        let (x, z) = (at[0], at[1]);
-        ware.push(placed(lathe(format!("saucer of {name}"), "china", &saucer, 40), [x, TABLE + 0.02, z], 0.0));
-        let transform = json!({ "translate": [x, TABLE + 0.13, z], "rotate_deg": [0, turn, 0], "scale": 1.15 });
+    // The data's cup stands on its own saucer and has no bottom: tea closes it, its rim hidden between the cup's two walls.
+    const CUP_SCALE: f32 = 1.8;
+    for (name, [x, z], turn, material) in [("cup", [4.1f32, 3.5f32], 40.0, "china"), ("second cup", [-4.6, 3.1], 160.0, "blue china")] {
+        let transform = json!({ "translate": [x, TABLE + 0.02, z], "rotate_deg": [0, turn, 0], "scale": CUP_SCALE });
         ware.push(patches(name, "teacup", material, half, transform));
+        let center = [x, TABLE + 0.02 + 0.5 * CUP_SCALE, z];
+        let surface = json!({ "type": "disc", "center": center, "normal": [0, 1, 0], "radius": 0.42 * CUP_SCALE, "segments": 32 });
+        ware.push(object(format!("tea in {name}"), "tea", surface));
     }
     let transform = json!({ "translate": [0.9, TABLE + 0.22, 5.1], "rotate_deg": [0, 65, 0], "scale": 2.0 });
     ware.push(patches("spoon", "teaspoon", "silver", half, transform));
@@ -276,7 +280,7 @@ fn roof() -> Vec<Value> {
 fn railing() -> Vec<Value> {
     const BALUSTERS: u32 = 9;
     let mut all = Vec::new();
-    for k in (0..8).filter(|k| *k != ENTRANCE + 1) {
+    for k in (0..8).filter(|k| *k != ENTRANCE) {
         let (a, b) = (around(POSTS, 0.0, post_azimuth(k)), around(POSTS, 0.0, post_azimuth(k + 1)));
         for (name, y, width, height) in [("top rail", 11.0, 1.2, 0.7), ("middle rail", 9.0, 0.6, 0.5), ("bottom rail", 1.8, 0.8, 0.6)] {
             all.push(beam(format!("{name} {k}"), "white paint", a.with_y(y), b.with_y(y), width, height));
@@ -296,7 +300,7 @@ fn garden(seed: u32) -> Vec<Value> {
     let mut all = vec![ground];
     let random = |k: u32, i: i32| noise::unit(seed.wrapping_add(77), k as i32, i);
     let blob = |name: String, center: Vec3, radii: Vec3, segments: u32, k: u32| {
-        let shape = json!({ "type": "blob", "center": center.to_array(), "radii": radii.to_array(), "roughness": 0.22, "segments": segments, "seed": seed.wrapping_add(k) });
+        let shape = json!({ "type": "blob", "center": center.to_array(), "radii": radii.to_array(), "roughness": 0.34, "segments": segments, "seed": seed.wrapping_add(k) });
         object(name, "leaves", shape)
     };
     // A clipped hedge with openings before and behind; the view from the garden comes through the wide one.
@@ -310,8 +314,18 @@ fn garden(seed: u32) -> Vec<Value> {
         let (distance, size) = (115.0 + 85.0 * random(k, 2), 0.7 + 0.6 * random(k, 3));
         let foot = around(distance, GROUND, azimuth);
         all.push(placed(lathe(format!("trunk {k}"), "bark", &[[2.4 * size, 0.0], [1.6 * size, 30.0 * size]], 8), foot.to_array(), 0.0));
-        let crown = Vec3::new(17.0, 23.0 + 12.0 * random(k, 4), 17.0) * size;
-        all.push(blob(format!("tree {k}"), foot + Vec3::Y * (22.0 * size + 0.8 * crown.y), crown, 22, 100 + k));
+        // A crown and a lower, offset part of it.
+        let crown = Vec3::new(16.0, 19.0 + 10.0 * random(k, 4), 16.0) * size;
+        let middle = foot + Vec3::Y * (24.0 * size + 0.75 * crown.y);
+        all.push(blob(format!("crown {k}"), middle, crown, 20, 100 + k));
+        let offset = around(8.0 * size, -0.35 * crown.y, 360.0 * random(k, 5));
+        all.push(blob(format!("lower crown {k}"), middle + offset, 0.8 * crown.with_y(0.75 * crown.y), 16, 200 + k));
+    }
+    // Hills close the horizon.
+    for k in 0..12 {
+        let center = around(470.0, GROUND - 12.0, 30.0 * k as f32 + 14.0 * random(k, 6));
+        let radii = Vec3::new(120.0 + 60.0 * random(k, 7), 34.0 + 22.0 * random(k, 8), 120.0);
+        all.push(blob(format!("hill {k}"), center, radii, 18, 300 + k));
     }
     all
 }

@@ -3,39 +3,38 @@
 use std::f32::consts::TAU;
 
 use glam::{Vec2, Vec3};
+use rayon::prelude::*;
 
 use super::super::noise;
 use crate::images::Rgb8;
 
-/// Subsamples along a texel's edge: the cloth's threads are finer than a texel at small sizes.
-const SUBSAMPLES: usize = 3;
-
-// Paints a square picture; `colour` gets positions in [0, 1]², y down.
-fn paint(size: u32, colour: impl Fn(Vec2) -> Vec3) -> Rgb8 {
+// Paints a square picture; `colour` gets positions in [0, 1]², y down. `subsamples` along a texel's edge: patterns with sharp
+// outlines need some, noise as fine as the texels none.
+fn paint(size: u32, subsamples: usize, colour: impl Fn(Vec2) -> Vec3 + Sync) -> Rgb8 {
     let size = size as usize;
-    let mut bytes = Vec::with_capacity(3 * size * size);
-    for row in 0..size {
-        for column in 0..size {
-            let mut sum = Vec3::ZERO;
-            for i in 0..SUBSAMPLES * SUBSAMPLES {
-                let inside = Vec2::new((i % SUBSAMPLES) as f32 + 0.5, (i / SUBSAMPLES) as f32 + 0.5) / SUBSAMPLES as f32;
-                sum += colour((Vec2::new(column as f32, row as f32) + inside) / size as f32);
-            }
-            let mean = sum / (SUBSAMPLES * SUBSAMPLES) as f32;
-            bytes.extend(mean.to_array().map(|c| (c.clamp(0.0, 1.0) * 255.0).round() as u8));
+    let texel = |index: usize| {
+        let corner = Vec2::new((index % size) as f32, (index / size) as f32);
+        let mut sum = Vec3::ZERO;
+        for i in 0..subsamples * subsamples {
+            let inside = Vec2::new((i % subsamples) as f32 + 0.5, (i / subsamples) as f32 + 0.5) / subsamples as f32;
+            sum += colour((corner + inside) / size as f32);
         }
-    }
-    Rgb8 { width: size, height: size, bytes }
+        let mean = sum / (subsamples * subsamples) as f32;
+        mean.to_array().map(|c| (c.clamp(0.0, 1.0) * 255.0).round() as u8)
+    };
+    let texels: Vec<[u8; 3]> = (0..size * size).into_par_iter().map(texel).collect();
+    Rgb8 { width: size, height: size, bytes: texels.into_flattened() }
 }
 
 /// A round gingham cloth laid out flat, seen from above: red and blue checks of twill, an embroidered flower in every fourth white
 /// check, a border of scallops and dots. `checks` across the whole cloth.
 pub(super) fn cloth(size: u32, checks: f32) -> Rgb8 {
-    paint(size, |at| {
-        let from_centre = 2.0 * at - 1.0;
-        let (radius, turn) = (from_centre.length(), from_centre.y.atan2(from_centre.x) / TAU);
-        border(radius, turn).unwrap_or_else(|| gingham(at * checks))
-    })
+    paint(size, 2, |at| border(2.0 * at - 1.0).unwrap_or_else(|| gingham(at * checks)))
+}
+
+// In [0, 1), also below zero; several times faster than the remainder.
+fn fract(v: f32) -> f32 {
+    v - v.floor()
 }
 
 const WHITE: Vec3 = Vec3::new(0.96, 0.95, 0.91);
@@ -46,9 +45,9 @@ const GOLD: Vec3 = Vec3::new(0.90, 0.68, 0.16);
 // `at` in checks.
 fn gingham(at: Vec2) -> Vec3 {
     let (cell, inside) = (at.floor(), at - at.floor());
-    let odd = |v: f32| v.rem_euclid(2.0) >= 1.0;
+    let odd = |v: f32| fract(0.5 * v) >= 0.5;
     // Twill: half the threads of a mixed check are coloured, in diagonals.
-    let thread = |slope: f32| (4.0 * (inside.x + slope * inside.y)).rem_euclid(1.0) < 0.5;
+    let thread = |slope: f32| fract(4.0 * (inside.x + slope * inside.y)) < 0.5;
     match (odd(cell.x), odd(cell.y)) {
         (true, true) => RED,
         (true, false) if thread(1.0) => RED,
@@ -59,23 +58,36 @@ fn gingham(at: Vec2) -> Vec3 {
 }
 
 fn flower(cell: Vec2, inside: Vec2) -> Vec3 {
-    let chosen = ((cell.x + cell.y) / 2.0).rem_euclid(2.0) < 1.0;
+    let chosen = fract(0.25 * (cell.x + cell.y)) < 0.5;
     let p = inside - 0.5;
-    let (radius, turn) = (p.length(), p.y.atan2(p.x));
-    let petal = 0.22 + 0.14 * (5.0 * turn).cos();
-    match radius {
-        r if chosen && r < 0.09 => GOLD,
-        r if chosen && r < petal => BLUE,
-        // Cross-stitch in the others.
-        _ if !chosen && radius < 0.2 && (p.x.abs() - p.y.abs()).abs() < 0.05 => RED,
+    let petal = || 0.22 + 0.14 * (5.0 * p.y.atan2(p.x)).cos();
+    match p.length() {
+        r if r > 0.36 => WHITE,
+        // Cross-stitch in every other one.
+        r if !chosen => {
+            if r < 0.2 && (p.x.abs() - p.y.abs()).abs() < 0.05 {
+                RED
+            } else {
+                WHITE
+            }
+        }
+        r if r < 0.09 => GOLD,
+        r if r < petal() => BLUE,
         _ => WHITE,
     }
 }
 
-// Bands from the hem inward, in parts of the radius; None inside them.
-fn border(radius: f32, turn: f32) -> Option<Vec3> {
+// Bands from the hem inward, `at` and widths in parts of the cloth's radius; None inside them.
+fn border(at: Vec2) -> Option<Vec3> {
     const REPEATS: f32 = 120.0;
-    let phase = (turn * REPEATS).rem_euclid(1.0) - 0.5;
+    let radius = at.length();
+    if radius <= 0.885 {
+        return None;
+    }
+    if radius > 1.0 {
+        return Some(WHITE);
+    }
+    let phase = fract(at.y.atan2(at.x) / TAU * REPEATS) - 0.5;
     // Length of one repeat along the circumference, so that dots are round.
     let step = TAU * radius / REPEATS;
     match radius {
@@ -86,14 +98,13 @@ fn border(radius: f32, turn: f32) -> Option<Vec3> {
             Some(if dot { RED } else { WHITE })
         }
         r if r > 0.895 => Some(GOLD),
-        r if r > 0.885 => Some(BLUE),
-        _ => None,
+        _ => Some(BLUE),
     }
 }
 
 /// Floorboards along y, seen from above: `boards` of them, of staggered lengths and differing shades, with grain and gaps.
 pub(super) fn planks(size: u32, seed: u32, boards: f32) -> Rgb8 {
-    paint(size, |at| {
+    paint(size, 1, |at| {
         let board = (at.x * boards).floor();
         let across = (at.x * boards).fract();
         let along = at.y * 5.0 + noise::unit(seed, board as i32, 7);
@@ -108,7 +119,7 @@ pub(super) fn planks(size: u32, seed: u32, boards: f32) -> Rgb8 {
 
 /// Painted or bare timber: streaks along x.
 pub(super) fn timber(size: u32, seed: u32) -> Rgb8 {
-    paint(size, |at| {
+    paint(size, 1, |at| {
         let grain = noise::fractal(seed, at.x * 4.0, at.y * 48.0, 1 << 10, 4);
         Vec3::new(0.50, 0.34, 0.22) * (0.65 + 0.7 * grain)
     })
@@ -116,7 +127,7 @@ pub(super) fn timber(size: u32, seed: u32) -> Rgb8 {
 
 /// Grass that may be laid side by side: blades as fine noise over worn patches, daisies here and there.
 pub(super) fn grass(size: u32, seed: u32) -> Rgb8 {
-    paint(size, |at| {
+    paint(size, 1, |at| {
         let patch = noise::fractal(seed, at.x * 8.0, at.y * 8.0, 8, 4);
         let blade = noise::value(seed.wrapping_add(50), at.x * 256.0, at.y * 256.0, 256);
         let cell = (at * 48.0).floor();
@@ -131,7 +142,7 @@ pub(super) fn grass(size: u32, seed: u32) -> Rgb8 {
 
 /// Foliage: clumps of lit and shaded leaves.
 pub(super) fn leaves(size: u32, seed: u32) -> Rgb8 {
-    paint(size, |at| {
+    paint(size, 1, |at| {
         let clump = noise::fractal(seed, at.x * 12.0, at.y * 12.0, 12, 3);
         let leaf = noise::value(seed.wrapping_add(20), at.x * 96.0, at.y * 96.0, 96);
         Vec3::new(0.16, 0.32, 0.09).lerp(Vec3::new(0.42, 0.56, 0.20), leaf) * (0.45 + 0.85 * clump)

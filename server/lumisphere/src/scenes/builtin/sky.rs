@@ -1,12 +1,13 @@
 //! A clear sky with the sun, some clouds and haze, as a latitude–longitude map.
 //!
 //! Preetham, Shirley, Smits 1999, "A Practical Analytic Model for Daylight", appendix A.2 (Perez distribution with their fits for
-//! luminance and chromaticity). Clouds are noise on a plane overhead. Everything is scaled together so that a white surface facing
-//! the sun leaves a radiance near 1.
+//! luminance and chromaticity). Clouds are noise on a plane overhead. Everything is scaled together so that a white surface lying flat
+//! under this sun leaves a radiance near 1.
 
 use std::f32::consts::PI;
 
 use glam::{Mat3, Vec2, Vec3};
+use rayon::prelude::*;
 
 use super::super::noise;
 use crate::directions::direction_from_lat_long;
@@ -24,10 +25,10 @@ pub(super) struct Sky {
     pub ground: Vec3,
 }
 
-/// Radiance per kcd/m² of the model: white in the sun comes out near 1.
-const RADIANCE_PER_KCD: f32 = 0.030;
-/// Irradiance from the sun's disc alone on a surface facing it, in the map's unit; four times what the sky gives, as on a clear day.
-const SUN_IRRADIANCE: Vec3 = Vec3::new(3.1, 2.75, 2.2);
+/// Radiance per kcd/m² of the model: a white sheet lying in the sun comes out near 1.
+const RADIANCE_PER_KCD: f32 = 0.055;
+/// Irradiance from the sun's disc alone on a surface facing it, in the map's unit: some five times the sky's, as on a clear day.
+const SUN_IRRADIANCE: Vec3 = Vec3::new(4.4, 3.9, 3.1);
 /// Angular radius of the disc in the map. The true one, 0.27°, is less than a texel of a 1024-pixel map; the irradiance is kept.
 const SUN_RADIUS: f32 = 0.75 * PI / 180.0;
 
@@ -45,30 +46,28 @@ impl Sky {
     /// `width` × `width / 2`, linear.
     pub fn map(&self, width: usize) -> Image {
         let height = width / 2;
-        let mut image = Image::zeros(width, height, 3);
         let model = Model::new(self);
-        for row in 0..height {
-            for column in 0..width {
-                let at = Vec2::new((column as f32 + 0.5) / width as f32, (row as f32 + 0.5) / height as f32);
-                let d = direction_from_lat_long(at);
-                let sun = self.sun_coverage(at, width) * self.sun_radiance();
-                image.set_rgb(row * width + column, (self.without_sun(&model, d) + sun).into());
-            }
-        }
-        image
+        let texel = |index: usize| {
+            let at = Vec2::new((index % width) as f32 + 0.5, (index / width) as f32 + 0.5) / Vec2::new(width as f32, height as f32);
+            let d = direction_from_lat_long(at);
+            self.without_sun(&model, d) + self.sun_coverage(at, width) * self.sun_radiance()
+        };
+        let texels: Vec<Vec3> = (0..width * height).into_par_iter().map(texel).collect();
+        let plane = |channel: usize| texels.iter().map(|t| t[channel]).collect();
+        Image { width, height, planes: (0..3).map(plane).collect() }
     }
 
     fn without_sun(&self, model: &Model, d: Vec3) -> Vec3 {
         if d.y <= 0.0 {
             // Haze hides where the ground ends.
             let horizon = model.radiance(Vec3::new(d.x, 0.0, d.z).normalize_or(Vec3::X));
-            return self.ground.lerp(horizon, (1.0 + d.y * 12.0).clamp(0.0, 1.0).powi(2) * 0.6);
+            return self.ground.lerp(horizon, (1.0 + d.y * 12.0).clamp(0.0, 1.0).powi(2) * 0.9);
         }
         let clear = model.radiance(d);
         let cover = self.cloud_cover(d);
         // Lit from the sun's side: brighter toward it.
         let toward = 0.5 + 0.5 * d.dot(self.sun);
-        let cloud = Vec3::new(1.0, 0.97, 0.93) * (0.75 + 0.9 * toward.powi(4));
+        let cloud = Vec3::new(1.0, 0.98, 0.95) * (0.85 + 0.9 * toward.powi(4));
         clear.lerp(cloud, cover)
     }
 
@@ -78,7 +77,7 @@ impl Sky {
         let density = noise::fractal(self.seed, plane.x + 32.0, plane.y + 32.0, 64, 5);
         let near_horizon = (d.y * 6.0).clamp(0.0, 1.0);
         let near_sun = 1.0 - ((d.dot(self.sun) - 0.97) / 0.02).clamp(0.0, 1.0);
-        ((density - 0.52) * 4.5).clamp(0.0, 0.9) * near_horizon * near_sun
+        ((density - 0.54) * 4.5).clamp(0.0, 0.85) * near_horizon * near_sun
     }
 
     fn sun_radiance(&self) -> Vec3 {
@@ -136,7 +135,10 @@ impl Model {
         let xyz = Vec3::new(x / y, 1.0, (1.0 - x - y) / y) * luminance;
         // CIE XYZ → linear Rec. 709 (IEC 61966-2-1).
         let rgb_from_xyz = Mat3::from_cols_array(&[3.2406, -0.9689, 0.0557, -1.5372, 1.8758, -0.2040, -0.4986, 0.0415, 1.0570]);
-        (rgb_from_xyz * xyz).max(Vec3::ZERO)
+        let fitted = (rgb_from_xyz * xyz).max(Vec3::ZERO);
+        // The fits turn pinkish at the horizon opposite a low sun; haze there is blue-white.
+        let hazy = crate::radiometry::color::luminance(fitted.to_array()) * Vec3::new(0.90, 0.99, 1.22);
+        fitted.lerp(hazy, (-7.0 * d.y).exp())
     }
 }
 
@@ -182,9 +184,9 @@ mod tests {
     }
 
     #[test]
-    fn a_white_sheet_facing_the_sun_leaves_about_one() {
-        let sheet = irradiance(&sky().map(256), sky().sun) / PI;
-        assert!((0.7..1.5).contains(&sheet.y), "{sheet}");
+    fn a_white_sheet_lying_in_the_sun_leaves_about_one() {
+        let sheet = irradiance(&sky().map(256), Vec3::Y) / PI;
+        assert!((0.7..1.4).contains(&sheet.y), "{sheet}");
     }
 
     #[test]
