@@ -267,3 +267,33 @@ fn files_of_the_pack_cut_off_never_panic() {
         }
     }
 }
+
+#[test]
+fn files_of_the_pack_with_one_byte_changed_never_panic() {
+    let Some(root) = shared("scenes/box-room") else { return };
+    for (path, header) in [("box-room.glb", 6000), ("meshes/tall.obj", 1500), ("scene.json", 2000), ("textures/floor.png", 800)] {
+        let whole = std::fs::read(root.join(path)).unwrap();
+        for i in 0..150 {
+            let mut bytes = whole.clone();
+            let at = (noise::unit(1, i, 0) * header.min(whole.len()) as f32) as usize;
+            bytes[at] = (noise::unit(2, i, 0) * 256.0) as u8;
+            let changed = OneChanged { root: SceneFolder::open(&root, DEFAULT_FILE_LIMIT_BYTES).unwrap(), path, bytes };
+            let asked = if path.ends_with("glb") { path } else { "scene.json" };
+            // What matters is that it returns; most changes are errors, some are another scene.
+            let _ = load(&changed, asked, &LoadOptions::as_written());
+        }
+    }
+}
+
+// A folder in which one file reads otherwise.
+struct OneChanged<'a> {
+    root: SceneFolder,
+    path: &'a str,
+    bytes: Vec<u8>,
+}
+
+impl SceneFiles for OneChanged<'_> {
+    fn read(&self, path: &str) -> Result<Vec<u8>, FileError> {
+        if path == self.path { Ok(self.bytes.clone()) } else { self.root.read(path) }
+    }
+}

@@ -33,9 +33,8 @@ pub(super) fn add_gltf(assembly: &mut Assembly, node: &Node, name: &str, world: 
     })?;
     let materials = gltf_materials(assembly, &model, &path)?;
     for object in model.objects {
-        let material = &materials[object.material];
-        let emission = Some(model.materials[object.material].emission);
-        add_part(assembly, name, &object.name, object.mesh, world, *material, emission, &path)?;
+        let (material, emission) = (materials[object.material], model.materials[object.material].emission);
+        add_part(assembly, name, &path, world, Part { name: &object.name, mesh: object.mesh, material, emission })?;
     }
     for light in model.point_lights {
         let position = world.transform_point3(light.position);
@@ -130,7 +129,8 @@ pub(super) fn add_obj(
                 (mtl_material(assembly, mtl, path, node)?, mtl.emission)
             }
         };
-        add_part(assembly, name, used.as_deref().unwrap_or("part"), mesh, world, material, Some(emission), path)?;
+        let part = Part { name: used.as_deref().unwrap_or("part"), mesh, material, emission };
+        add_part(assembly, name, path, world, part)?;
     }
     Ok(())
 }
@@ -148,24 +148,21 @@ fn mtl_material(assembly: &mut Assembly, mtl: &obj::MtlMaterial, path: &str, nod
     Ok(assembly.add_material(&format!("{path}#{}", mtl.name), Material::Diffuse { albedo }))
 }
 
-#[allow(clippy::too_many_arguments)]
-fn add_part(
-    assembly: &mut Assembly,
-    entry: &str,
-    part: &str,
+struct Part<'a> {
+    name: &'a str,
     mesh: TriangleMesh,
-    world: Mat4,
     material: usize,
-    emission: Option<Vec3>,
-    path: &str,
-) -> Result<(), SceneError> {
-    let name = free_name(assembly, "object", &format!("{entry}/{part}"));
-    let placed = transform::place_mesh(transform::wind_by_normals(mesh), world).map_err(|source| SceneError::Geometry {
+    emission: Vec3,
+}
+
+fn add_part(assembly: &mut Assembly, entry: &str, path: &str, world: Mat4, part: Part) -> Result<(), SceneError> {
+    let name = free_name(assembly, "object", &format!("{entry}/{}", part.name));
+    let placed = transform::place_mesh(transform::wind_by_normals(part.mesh), world).map_err(|source| SceneError::Geometry {
         file: path.to_owned(),
         object: name.clone(),
         source,
     })?;
-    assembly.add_object(&name, placed, Surface::Mesh, material, emission)
+    assembly.add_object(&name, placed, Surface::Mesh, part.material, Some(part.emission))
 }
 
 // Model files may use a name twice; ours are unique.

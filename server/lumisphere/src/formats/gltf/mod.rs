@@ -3,7 +3,12 @@
 //!
 //! The `gltf` crate parses and validates the JSON; accessors are read here with every bound checked, because the crate's own
 //! readers panic on files that validate (accessors of count 0, or of another type than the attribute's). Left out, with a note:
-//! alpha, metalness, normal maps, skins, sparse accessors' owners, spot and directional lights.
+//! alpha, metalness, normal maps, skins, spot and directional lights. Sparse accessors are an error.
+
+mod accessors;
+#[cfg(test)]
+mod tests;
+mod uris;
 
 use std::collections::{BTreeSet, HashSet};
 
@@ -13,6 +18,7 @@ use glam::{Mat4, Quat, Vec2, Vec3};
 
 use super::FormatError;
 use crate::geometry::TriangleMesh;
+use uris::{data_uri, percent_decoded};
 
 /// A file's content, +Y up as glTF is, in the file's world.
 #[derive(Debug, Clone, PartialEq)]
@@ -213,17 +219,6 @@ impl Reader<'_> {
         Ok(())
     }
 
-    // Bytes of a buffer view and its stride.
-    fn view(&self, index: usize) -> Result<(&[u8], Option<usize>), FormatError> {
-        let outside = || wrong(format!("buffer view {index} lies outside its buffer"));
-        let view = self.root.buffer_views.get(index).ok_or_else(outside)?;
-        let start = usize::try_from(view.byte_offset.map_or(0, |o| o.0)).map_err(|_| outside())?;
-        let length = usize::try_from(view.byte_length.0).map_err(|_| outside())?;
-        let buffer = self.buffers.get(view.buffer.value()).ok_or_else(outside)?;
-        let bytes = start.checked_add(length).and_then(|end| buffer.get(start..end)).ok_or_else(outside)?;
-        Ok((bytes, view.byte_stride.map(|s| s.0)))
-    }
-
     // Every node of the default scene (all root nodes' trees where there is no scene).
     fn nodes(&mut self) -> Result<(), FormatError> {
         let scene = self.root.scene.map_or(0, |s| s.value());
@@ -350,87 +345,6 @@ impl Reader<'_> {
         let material = material.and_then(|m| self.root.materials.get(m));
         material.and_then(|m| m.pbr_metallic_roughness.base_color_texture.as_ref()).map_or(0, |t| t.tex_coord)
     }
-
-    // Elements of an accessor: (bytes, stride, count, component type, normalised). Every element lies inside the bytes.
-    fn elements(&self, index: usize, dimension: usize) -> Result<Elements<'_>, FormatError> {
-        use json::validation::Checked::Valid;
-        let broken = |what: &str| wrong(format!("accessor {index} {what}"));
-        let accessor = self.root.accessors.get(index).ok_or_else(|| broken("does not exist"))?;
-        if accessor.sparse.is_some() {
-            return Err(broken("is sparse, which is not supported"));
-        }
-        let (Valid(component), Valid(shape)) = (accessor.component_type, accessor.type_) else {
-            return Err(broken("has an unknown type"));
-        };
-        if shape.multiplicity() != dimension {
-            return Err(broken(&format!("has {} components, {dimension} expected", shape.multiplicity())));
-        }
-        let view = accessor.buffer_view.ok_or_else(|| broken("has no data"))?;
-        let (bytes, stride) = self.view(view.value())?;
-        let size = component.0.size() * dimension;
-        let stride = stride.unwrap_or(size);
-        let outside = || broken("reaches beyond its buffer view");
-        let start = usize::try_from(accessor.byte_offset.map_or(0, |o| o.0)).map_err(|_| outside())?;
-        let count = usize::try_from(accessor.count.0).map_err(|_| outside())?;
-        let last = count.checked_sub(1).ok_or_else(|| broken("is empty"))?;
-        let end = last.checked_mul(stride).and_then(|l| l.checked_add(size)).and_then(|l| l.checked_add(start)).ok_or_else(outside)?;
-        if stride < size || end > bytes.len() {
-            return Err(outside());
-        }
-        Ok(Elements { bytes: &bytes[start..], stride, count, component: component.0, normalized: accessor.normalized })
-    }
-
-    fn floats<const N: usize>(&self, index: usize) -> Result<Vec<[f32; N]>, FormatError> {
-        let elements = self.elements(index, N)?;
-        let size = elements.component.size();
-        let mut values = Vec::with_capacity(elements.count);
-        for i in 0..elements.count {
-            let mut value = [0.0; N];
-            for (k, v) in value.iter_mut().enumerate() {
-                *v = elements.float(i * elements.stride + k * size);
-            }
-            values.push(value);
-        }
-        Ok(values)
-    }
-
-    fn indices(&self, index: usize) -> Result<Vec<u32>, FormatError> {
-        use json::accessor::ComponentType;
-        let elements = self.elements(index, 1)?;
-        let at = |i: usize| &elements.bytes[i * elements.stride..];
-        let all = 0..elements.count;
-        match elements.component {
-            ComponentType::U8 => Ok(all.map(|i| at(i)[0] as u32).collect()),
-            ComponentType::U16 => Ok(all.map(|i| u16::from_le_bytes([at(i)[0], at(i)[1]]) as u32).collect()),
-            ComponentType::U32 => Ok(all.map(|i| u32::from_le_bytes([at(i)[0], at(i)[1], at(i)[2], at(i)[3]])).collect()),
-            _ => Err(wrong(format!("accessor {index} does not hold indices"))),
-        }
-    }
-}
-
-struct Elements<'a> {
-    bytes: &'a [u8],
-    stride: usize,
-    count: usize,
-    component: json::accessor::ComponentType,
-    normalized: bool,
-}
-
-impl Elements<'_> {
-    // The component at a byte offset, which `Reader::elements` has checked.
-    fn float(&self, at: usize) -> f32 {
-        use json::accessor::ComponentType;
-        let b = &self.bytes[at..];
-        let (value, largest) = match self.component {
-            ComponentType::F32 => return f32::from_le_bytes([b[0], b[1], b[2], b[3]]),
-            ComponentType::I8 => (b[0] as i8 as f32, i8::MAX as f32),
-            ComponentType::U8 => (b[0] as f32, u8::MAX as f32),
-            ComponentType::I16 => (i16::from_le_bytes([b[0], b[1]]) as f32, i16::MAX as f32),
-            ComponentType::U16 => (u16::from_le_bytes([b[0], b[1]]) as f32, u16::MAX as f32),
-            ComponentType::U32 => (u32::from_le_bytes([b[0], b[1], b[2], b[3]]) as f32, u32::MAX as f32),
-        };
-        if self.normalized { (value / largest).max(-1.0) } else { value }
-    }
 }
 
 fn local_transform(node: &json::Node) -> Mat4 {
@@ -474,144 +388,4 @@ fn faceted(positions: &[Vec3], uvs: &[Vec2], triangles: &[[u32; 3]]) -> Result<T
     let order = (0..triangles.len() as u32).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect();
     let (positions, uvs) = (corners.iter().map(|i| positions[*i]).collect(), corners.iter().map(|i| uvs[*i]).collect());
     Ok(TriangleMesh::new(positions, vec![Vec3::ZERO; corners.len()], uvs, order)?)
-}
-
-// What follows "data:": a media type, then ";base64," and the data.
-fn data_uri(data: &str) -> Result<Vec<u8>, FormatError> {
-    let encoded = data.split_once(";base64,").map(|(_, encoded)| encoded);
-    encoded.and_then(base64).ok_or_else(|| wrong("data URI is not base64"))
-}
-
-fn base64(text: &str) -> Option<Vec<u8>> {
-    let digit = |c: u8| match c {
-        b'A'..=b'Z' => Some(c - b'A'),
-        b'a'..=b'z' => Some(c - b'a' + 26),
-        b'0'..=b'9' => Some(c - b'0' + 52),
-        b'+' => Some(62),
-        b'/' => Some(63),
-        _ => None,
-    };
-    let digits: Vec<u8> = text.trim_end_matches('=').bytes().map(digit).collect::<Option<_>>()?;
-    let mut bytes = Vec::with_capacity(digits.len() / 4 * 3 + 2);
-    for group in digits.chunks(4) {
-        let word = group.iter().enumerate().fold(0u32, |w, (i, d)| w | (*d as u32) << (18 - 6 * i));
-        bytes.extend(&word.to_be_bytes()[1..group.len()]);
-    }
-    (digits.len() % 4 != 1).then_some(bytes)
-}
-
-fn percent_decoded(uri: &str) -> String {
-    let bytes = uri.as_bytes();
-    let (mut out, mut i) = (Vec::new(), 0);
-    while i < bytes.len() {
-        let code = (bytes[i] == b'%').then(|| uri.get(i + 1..i + 3)).flatten().and_then(|h| u8::from_str_radix(h, 16).ok());
-        out.push(code.unwrap_or(bytes[i]));
-        i += if code.is_some() { 3 } else { 1 };
-    }
-    String::from_utf8_lossy(&out).into_owned()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    // A triangle, as text with everything inside it; `{…}` may be replaced by the tests.
-    fn triangle() -> String {
-        let floats: Vec<u8> = [0f32, 0., 0., 1., 0., 0., 0., 1., 0.].iter().flat_map(|f| f.to_le_bytes()).collect();
-        let encoded = encode(&floats);
-        format!(
-            r#"{{"asset":{{"version":"2.0"}},"scene":0,"scenes":[{{"nodes":[0]}}],
-            "nodes":[{{"name":"n","mesh":0,"translation":[1,2,3],"children":[1]}},{{"camera":0,"name":"eye"}}],
-            "cameras":[{{"type":"perspective","perspective":{{"yfov":1.0,"znear":0.1,"aspectRatio":1.5}}}}],
-            "materials":[{{"pbrMetallicRoughness":{{"baseColorFactor":[0.2,0.4,0.6,1]}},"emissiveFactor":[1,0.5,0],
-                "extensions":{{"KHR_materials_emissive_strength":{{"emissiveStrength":4}}}},"alphaMode":"MASK"}}],
-            "meshes":[{{"primitives":[{{"attributes":{{"POSITION":0}},"material":0}}]}}],
-            "accessors":[{{"bufferView":0,"componentType":5126,"count":3,"type":"VEC3","min":[0,0,0],"max":[1,1,0]}}],
-            "bufferViews":[{{"buffer":0,"byteLength":36}}],
-            "buffers":[{{"byteLength":36,"uri":"data:application/octet-stream;base64,{encoded}"}}]}}"#
-        )
-    }
-
-    fn encode(bytes: &[u8]) -> String {
-        const DIGITS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
-        let group = |g: &[u8]| {
-            let word = g.iter().enumerate().fold(0u32, |w, (i, b)| w | (*b as u32) << (16 - 8 * i));
-            (0..=g.len()).map(|i| DIGITS[(word >> (18 - 6 * i)) as usize & 63] as char).collect::<String>()
-        };
-        bytes.chunks(3).map(group).collect()
-    }
-
-    fn read_text(text: &str) -> Result<GltfModel, GltfError<String>> {
-        read(text.as_bytes(), &mut |uri| Err(format!("asked for {uri}")))
-    }
-
-    fn message(text: &str) -> String {
-        match read_text(text) {
-            Err(GltfError::Format(e)) => e.to_string(),
-            other => panic!("{other:?}"),
-        }
-    }
-
-    #[test]
-    fn geometry_colour_emission_and_camera_arrive() {
-        let model = read_text(&triangle()).unwrap();
-        assert_eq!(model.objects[0].mesh.positions[1], Vec3::new(2.0, 2.0, 3.0));
-        assert_eq!(model.objects[0].mesh.normals[0], Vec3::Z);
-        let material = &model.materials[model.objects[0].material];
-        assert_eq!((material.base_color, material.emission), (Vec3::new(0.2, 0.4, 0.6), Vec3::new(4.0, 2.0, 0.0)));
-        assert_eq!((model.cameras[0].name.as_str(), model.cameras[0].aspect), ("eye", 1.5));
-        assert!((model.cameras[0].vfov_deg - 57.29578).abs() < 1e-4);
-        assert_eq!(model.cameras[0].world_from_camera.w_axis.truncate(), Vec3::new(1.0, 2.0, 3.0));
-        assert!(model.notes[0].contains("alpha is not applied"));
-    }
-
-    #[test]
-    fn a_mirroring_node_keeps_the_front() {
-        let model = read_text(&triangle().replace(r#""translation":[1,2,3]"#, r#""scale":[-1,1,1]"#)).unwrap();
-        assert!(model.objects[0].mesh.positions.contains(&Vec3::NEG_X));
-        assert!(model.objects[0].mesh.area_vector(0).z > 0.0, "it faced +z, which the mirror leaves alone");
-    }
-
-    #[test]
-    fn what_is_broken_is_named() {
-        assert!(message(&triangle().replace(r#""count":3"#, r#""count":4"#)).contains("accessor 0 reaches beyond its buffer view"));
-        assert!(message(&triangle().replace(r#""count":3"#, r#""count":0"#)).contains("accessor 0 is empty"));
-        assert!(message(&triangle().replace(r#""type":"VEC3""#, r#""type":"VEC2""#)).contains("accessor 0 has 2 components"));
-        assert!(message(&triangle().replace(r#""byteLength":36,"uri"#, r#""byteLength":37,"uri"#)).contains("36 bytes, 37 announced"));
-        assert!(message(&triangle().replace(r#""byteLength":36}"#, r#""byteLength":40}"#)).contains("lies outside its buffer"));
-        assert!(message(&triangle().replace(r#""children":[1]"#, r#""children":[0]"#)).contains("own ancestor"));
-        assert!(message(&triangle().replace(r#""translation":[1,2,3]"#, r#""scale":[0,1,1]"#)).contains("no volume"));
-        assert!(message(&triangle().replace("AAAAAA", "AA*AAA")).contains("base64"));
-        assert!(message("{}").contains("not a glTF"));
-        assert!(message(&triangle().replace(r#""nodes":[0]"#, r#""nodes":[]"#)).contains("no triangle"));
-        assert!(
-            matches!(read_text(&triangle().replace("data:application/octet-stream;base64,", "a%20b.bin?")), Err(GltfError::File(f)) if f.starts_with("asked for a b.bin"))
-        );
-    }
-
-    #[test]
-    fn a_binary_file_cut_off_anywhere_is_an_error() {
-        let json = triangle();
-        let mut glb = b"glTF\x02\0\0\0".to_vec();
-        let padded = json.len().div_ceil(4) * 4;
-        glb.extend((20 + padded as u32).to_le_bytes());
-        glb.extend((padded as u32).to_le_bytes());
-        glb.extend(b"JSON");
-        glb.extend(json.bytes().chain(std::iter::repeat(b' ')).take(padded));
-        assert!(read(&glb, &mut |_| Err(())).is_ok());
-        for length in 0..glb.len() {
-            assert!(read(&glb[..length], &mut |_| Err(())).is_err(), "{length} bytes");
-        }
-        glb[8..12].copy_from_slice(&4u32.to_le_bytes());
-        assert!(read(&glb, &mut |_| Err(())).is_err(), "a length below its own header");
-    }
-
-    #[test]
-    fn base64_decodes_every_remainder() {
-        for bytes in [&b""[..], b"a", b"ab", b"abc", b"abcd"] {
-            assert_eq!(base64(&encode(bytes)).unwrap(), bytes);
-        }
-        assert_eq!(base64("YQ==").unwrap(), b"a");
-        assert_eq!(base64("A"), None);
-    }
 }
