@@ -44,9 +44,9 @@ pub(super) struct Packet {
 
 /// The tree. `nodes[0]` is the root; no nodes when there are no triangles.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Bvh {
-    pub nodes: Vec<Node>,
-    pub packets: Vec<Packet>,
+pub(crate) struct Bvh {
+    pub(super) nodes: Vec<Node>,
+    pub(super) packets: Vec<Packet>,
 }
 
 impl Bvh {

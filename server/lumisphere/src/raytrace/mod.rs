@@ -23,5 +23,7 @@ mod warp;
 #[cfg(test)]
 mod tests;
 
+pub(crate) use bvh::Bvh;
 pub use render::{TraceSettings, TracedImage};
 pub use tracer::{Appearance, Hit, TraceError, Tracer};
+pub(crate) use traverse::Stack;

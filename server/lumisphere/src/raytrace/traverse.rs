@@ -9,7 +9,7 @@ use super::bvh::{Bvh, LEAF, Node, Packet};
 
 /// What a ray met: distance in multiples of its direction, barycentric weights of the second and third corner, input index.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct RawHit {
+pub(crate) struct RawHit {
     pub distance: f32,
     pub u: f32,
     pub v: f32,
@@ -18,7 +18,7 @@ pub(super) struct RawHit {
 
 /// Nodes still to visit. One a thread or tile, reused, so that no ray allocates.
 #[derive(Debug)]
-pub(super) struct Stack(Vec<(f32, u32)>);
+pub(crate) struct Stack(Vec<(f32, u32)>);
 
 impl Stack {
     pub fn new() -> Self {
@@ -59,6 +59,11 @@ impl WideRay {
                 direction.z.is_sign_negative() as usize,
             ],
         }
+    }
+
+    #[inline(always)]
+    fn is_finite(&self) -> bool {
+        self.origin.iter().chain(&self.direction).all(|v| v.is_finite())
     }
 
     /// Entry distances of the four boxes and a bit for each that is entered before `limit`.
@@ -141,7 +146,8 @@ impl Bvh {
     /// Visits leaves front to back. `leaf` returns the distance beyond which nothing matters any more, or None to stop.
     #[inline(always)]
     fn walk(&self, ray: &WideRay, mut limit: f32, stack: &mut Stack, mut leaf: impl FnMut(&Packet) -> Option<f32>) {
-        if self.nodes.is_empty() {
+        // A ray of NaN would seem to meet unused children, which lead back to the root.
+        if self.nodes.is_empty() || !ray.is_finite() {
             return;
         }
         let stack = &mut stack.0;

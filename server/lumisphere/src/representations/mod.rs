@@ -2,9 +2,22 @@
 //!
 //! Adding one: a value in `Kind` and in the proto, a folder, an arm in `open` and in the service's `wire.rs`.
 
+mod buckets;
+mod g_buffer;
 pub mod offset_surface_light_field;
+mod page_source;
+mod provenance;
 
+use std::sync::Arc;
+
+use thiserror::Error;
+
+use crate::geometry::Camera;
+use crate::textures::StoreError;
 use offset_surface_light_field as oslf;
+
+pub use page_source::{CachedPages, CountingSource, Fetched, PageSource, PageUse};
+pub use provenance::{Answer, Provenance};
 
 /// Which representation a dataset holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -53,4 +66,80 @@ impl Settings {
             },
         }
     }
+}
+
+/// A dataset version without its pages, ready to make kernels.
+pub trait Representation: std::fmt::Debug + Send + Sync {
+    /// Which it is.
+    fn kind(&self) -> Kind;
+
+    /// How many pages its dataset has.
+    fn page_count(&self) -> usize;
+
+    /// The readable reference.
+    fn cpu_kernel(self: Arc<Self>) -> Box<dyn CpuKernel>;
+}
+
+/// Renders frames of one dataset on the CPU.
+pub trait CpuKernel: Send + Sync {
+    /// One frame; blocks.
+    fn render(&self, request: &FrameRequest<'_>, pages: &CountingSource<'_>) -> Result<Pixels, RenderError>;
+}
+
+/// What to show of a representation, seen from where.
+#[derive(Debug, Clone, Copy)]
+pub struct FrameRequest<'a> {
+    /// Its size is the frame's; the caller limits it.
+    pub camera: &'a Camera,
+    /// Of the representation's own kind.
+    pub settings: &'a Settings,
+    /// What to return beside colour.
+    pub outputs: Outputs,
+}
+
+/// What a frame carries beside colour.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Outputs {
+    /// Distances along the rays.
+    pub depth: bool,
+    /// Which sample answered.
+    pub provenance: bool,
+}
+
+/// A frame's pixels, rows from the top.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Pixels {
+    /// `[3 · (row · width + column) + channel]`: linear radiance, R G B, finite.
+    pub color: Vec<f32>,
+    /// Distance along the pixel's ray, scene units, +∞ where nothing is.
+    pub depth: Option<Vec<f32>>,
+    /// Where each colour comes from.
+    pub provenance: Option<Vec<Provenance>>,
+    /// Distinct pages that the frame read.
+    pub pages_needed: usize,
+}
+
+/// Why there is no frame.
+#[derive(Debug, Clone, Error)]
+pub enum RenderError {
+    /// A page cannot be read.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// A page does not have the shape that the dataset's parameters announce.
+    #[error("page {page} has {width}x{height} texels of {channels} channels, {expected}x{expected} of at least 3 expected")]
+    PageShape {
+        /// Which page.
+        page: u32,
+        /// As read.
+        width: u32,
+        /// As read.
+        height: u32,
+        /// As read.
+        channels: u32,
+        /// Texels along an edge.
+        expected: u32,
+    },
+    /// The GPU was asked for where there is none.
+    #[error("no GPU is in use")]
+    NoGpu,
 }

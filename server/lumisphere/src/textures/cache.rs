@@ -125,21 +125,34 @@ impl Cache {
 
     /// The page, from memory or disk. While one caller reads a page, others who want it wait for that read, its error included.
     pub fn page(&self, version: &Arc<DatasetVersion>, page: PageId) -> Result<Arc<Page>, StoreError> {
-        if page.0 >= version.page_count() {
-            // The version says it best; a page that cannot exist gets no place in the table.
-            return version.read_page(page).map(Arc::new);
-        }
-        self.page_with(Key { slot: version.slot(), page }, || version.read_page_with_cost(page))
+        self.page_with_cost(version, page).map(|(page, _)| page)
     }
 
-    fn page_with(&self, key: Key, read: impl FnOnce() -> Result<(Page, ReadCost), StoreError>) -> Result<Arc<Page>, StoreError> {
+    /// The same, and what it cost: None when the page was in memory, nothing read when another caller's read answered.
+    pub fn page_with_cost(&self, version: &Arc<DatasetVersion>, page: PageId) -> Result<(Arc<Page>, Option<ReadCost>), StoreError> {
+        if page.0 >= version.page_count() {
+            // The version says it best; a page that cannot exist gets no place in the table.
+            return version.read_page_with_cost(page).map(|(page, cost)| (Arc::new(page), Some(cost)));
+        }
+        let mut cost = None;
+        let read = || {
+            let (page, read_cost) = version.read_page_with_cost(page)?;
+            cost = Some(read_cost);
+            Ok((page, read_cost))
+        };
+        let (page, was_resident) = self.page_with(Key { slot: version.slot(), page }, read)?;
+        Ok((page, if was_resident { None } else { Some(cost.unwrap_or_default()) }))
+    }
+
+    // The page, and whether it was in memory.
+    fn page_with(&self, key: Key, read: impl FnOnce() -> Result<(Page, ReadCost), StoreError>) -> Result<(Arc<Page>, bool), StoreError> {
         let mut state = self.state();
         state.stats.look_ups += 1;
         if let Place::Frame(frame) = *state.place(key) {
             state.stats.hits += 1;
             state.order.touch(frame);
             let resident = state.frames[frame as usize].as_ref().expect("a page's frame is occupied");
-            return Ok(resident.page.clone());
+            return Ok((resident.page.clone(), true));
         }
         state.stats.misses += 1;
         loop {
@@ -148,13 +161,13 @@ impl Cache {
                     // Another reader brought it while this one waited on a lost read.
                     state.stats.coalesced_waits += 1;
                     let resident = state.frames[frame as usize].as_ref().expect("a page's frame is occupied");
-                    return Ok(resident.page.clone());
+                    return Ok((resident.page.clone(), false));
                 }
                 Place::Loading(flight) => {
                     state.stats.coalesced_waits += 1;
                     drop(state);
                     match flight.wait() {
-                        Outcome::Landed(result) => return result,
+                        Outcome::Landed(result) => return result.map(|page| (page, false)),
                         Outcome::Lost => {
                             state = self.state();
                             state.stats.coalesced_waits -= 1;
@@ -166,7 +179,7 @@ impl Cache {
                     *state.place(key) = Place::Loading(flight.clone());
                     drop(state);
                     let reading = Reading { cache: self, key, flight, outcome: Outcome::Lost };
-                    return reading.finish(read());
+                    return reading.finish(read()).map(|page| (page, false));
                 }
             }
         }

@@ -19,6 +19,7 @@ mod index;
 mod manifest;
 mod opening;
 mod page;
+mod planes;
 mod policy;
 mod segment;
 mod staging;

@@ -7,6 +7,7 @@ use half::f16;
 use half::slice::HalfFloatSliceExt;
 use serde::{Deserialize, Serialize};
 
+use super::codec::to_f16;
 use super::error::StoreError;
 
 /// Most channels a texel can have.
@@ -117,6 +118,19 @@ impl Page {
         Self { shape, texels }
     }
 
+    /// From height · width · channels numbers, interleaved, row 0 first; rounded and clamped as storage would.
+    pub fn from_f32(shape: PageShape, values: &[f32]) -> Result<Self, StoreError> {
+        let shape = shape.checked()?;
+        if values.len() != shape.values() {
+            return Err(StoreError::InvalidPage { reason: format!("{} numbers where the shape has {}", values.len(), shape.values()) });
+        }
+        let texels = match shape.pixel {
+            PixelFormat::F32 => Texels::F32(values.to_vec()),
+            PixelFormat::F16 => Texels::F16(to_f16(values).0),
+        };
+        Ok(Self::new(shape, texels))
+    }
+
     /// Size and format; of the rows present, if only some were read.
     pub fn shape(&self) -> PageShape {
         self.shape
@@ -136,11 +150,7 @@ impl Page {
         let mut texel = [0.0; 4];
         match &self.texels {
             Texels::F32(v) => texel[..channels].copy_from_slice(&v[first..first + channels]),
-            Texels::F16(v) => {
-                for (out, stored) in texel.iter_mut().zip(&v[first..first + channels]) {
-                    *out = stored.to_f32();
-                }
-            }
+            Texels::F16(v) => v[first..first + channels].convert_to_f32_slice(&mut texel[..channels]),
         }
         texel
     }

@@ -83,7 +83,7 @@ fn stage(root: &Path) -> (Store, Staging) {
     (store, staging)
 }
 
-fn publish(staging: Staging, parameters: &Parameters) -> std::sync::Arc<DatasetVersion> {
+fn publish(staging: Staging, parameters: &Parameters) -> Arc<DatasetVersion> {
     let parameters = serde_json::to_value(parameters).unwrap();
     let publication = Publication {
         kind: "offset_surface_light_field".into(),
@@ -95,7 +95,7 @@ fn publish(staging: Staging, parameters: &Parameters) -> std::sync::Arc<DatasetV
     staging.publish(publication).unwrap()
 }
 
-fn built_in(root: &Path, threads: usize) -> std::sync::Arc<DatasetVersion> {
+fn built_in(root: &Path, threads: usize) -> Arc<DatasetVersion> {
     let (_store, staging) = stage(root);
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
     let parameters = pool.install(|| construct(&ball_on_table(), &settings(), &staging, &Unattended)).unwrap();

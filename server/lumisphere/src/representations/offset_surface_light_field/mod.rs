@@ -13,14 +13,22 @@
 //! Source: the methods page "Offset surface light field" and the paper behind it.
 
 mod construct;
+mod reference;
 mod sample_points;
+mod shade;
 mod storage;
+#[cfg(test)]
+pub(crate) mod tests;
+
+use std::sync::Arc;
 
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
 
 use crate::capture::Background;
 use crate::geometry::TriangleMesh;
+use crate::representations::{CpuKernel, Kind, RenderError, Representation};
+use crate::textures::Page;
 
 pub use construct::{ConstructError, ConstructSettings, construct};
 pub use sample_points::{PlacementError, Spacing, build_sample_maps, place_sample_points};
@@ -194,6 +202,29 @@ impl OffsetSurfaceLightField {
     pub fn page_count(&self) -> usize {
         crate::directions::FACES * (self.sample_points.len() + 1)
     }
+}
+
+impl Representation for OffsetSurfaceLightField {
+    fn kind(&self) -> Kind {
+        Kind::OffsetSurfaceLightField
+    }
+
+    fn page_count(&self) -> usize {
+        self.page_count()
+    }
+
+    fn cpu_kernel(self: Arc<Self>) -> Box<dyn CpuKernel> {
+        Box::new(reference::Reference::new(self))
+    }
+}
+
+// A page must be a face of the announced size before anything indexes into it.
+fn check_page(page: u32, found: &Page, face_size_texels: u32) -> Result<(), RenderError> {
+    let shape = found.shape();
+    if (shape.width, shape.height) == (face_size_texels, face_size_texels) && shape.channels >= 3 {
+        return Ok(());
+    }
+    Err(RenderError::PageShape { page, width: shape.width, height: shape.height, channels: shape.channels, expected: face_size_texels })
 }
 
 impl SampleMaps {

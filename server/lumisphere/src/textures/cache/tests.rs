@@ -35,7 +35,7 @@ fn ask(cache: &Cache, number: u32) -> bool {
             Ok((page(number + 1, number as f32), COST))
         })
         .unwrap();
-    assert_eq!(got.texel(number, 0)[0], number as f32);
+    assert_eq!(got.0.texel(number, 0)[0], number as f32);
     read
 }
 
@@ -149,7 +149,7 @@ fn sixty_four_readers_of_one_cold_page_cause_one_read() {
                     await_look_ups(&cache, 64);
                     Ok((page(1, 7.0), COST))
                 });
-                assert_eq!(got.unwrap().texel(0, 0)[0], 7.0);
+                assert_eq!(got.unwrap().0.texel(0, 0)[0], 7.0);
             });
         }
     });
@@ -213,7 +213,7 @@ fn a_read_that_panics_leaves_the_page_to_those_who_waited() {
         await_look_ups(&cache, 1);
         let waiters: Vec<_> = (0..2).map(|_| scope.spawn(|| cache.page_with(key(0), || Ok((page(1, 5.0), COST))))).collect();
         for waiter in waiters {
-            assert_eq!(waiter.join().unwrap().unwrap().texel(0, 0)[0], 5.0);
+            assert_eq!(waiter.join().unwrap().unwrap().0.texel(0, 0)[0], 5.0);
         }
         assert!(lost.join().is_err());
     });
@@ -255,7 +255,7 @@ fn versions_do_not_share_pages() {
     let cache = Cache::new(1 << 20);
     for slot in [0, 5, 2] {
         let got = cache.page_with(Key { slot, page: PageId(3) }, || Ok((page(1, slot as f32), COST))).unwrap();
-        assert_eq!(got.texel(0, 0)[0], slot as f32);
+        assert_eq!(got.0.texel(0, 0)[0], slot as f32);
     }
     assert_eq!(cache.stats().misses, 3);
 }

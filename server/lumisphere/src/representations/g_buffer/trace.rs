@@ -1,0 +1,88 @@
+//! The G-buffer by casting rays: the readable twin of `g_buffer.wgsl`.
+
+use std::sync::Arc;
+
+use glam::{Vec2, Vec3};
+
+use super::{BackgroundVertex, GBufferPixel, ProxyGeometry, Seen, pixel_angle};
+use crate::geometry::{Camera, Ray};
+use crate::raytrace::{Bvh, Stack};
+
+/// Casts rays at the object and its background. Built once per dataset.
+#[derive(Debug)]
+pub(crate) struct GBufferTracer {
+    geometry: Arc<ProxyGeometry>,
+    bvh: Bvh,
+}
+
+impl GBufferTracer {
+    pub fn new(geometry: Arc<ProxyGeometry>) -> Self {
+        let object = geometry.object_triangles.iter().map(|t| t.map(|v| Vec3::from(geometry.object_vertices[v as usize].position)));
+        let around = geometry.background_triangles.iter().map(|t| t.map(|v| Vec3::from(geometry.background_vertices[v as usize].position)));
+        let triangles: Vec<[Vec3; 3]> = object.chain(around).collect();
+        Self { bvh: Bvh::build(&triangles), geometry }
+    }
+
+    /// What pixel (i, j) sees.
+    pub fn pixel(&self, camera: &Camera, i: u32, j: u32, stack: &mut Stack) -> GBufferPixel {
+        let ray = camera.pixel_ray(i, j);
+        let depth_per_distance = -camera.pose().rotation().z_axis.dot(ray.direction);
+        let start = self.geometry.near / depth_per_distance;
+        let origin = ray.at(start);
+        // A focal length that overflows leaves no direction: such a pixel sees nothing.
+        if !(origin.is_finite() && ray.direction.is_finite()) {
+            return self.nothing(ray);
+        }
+        let Some(hit) = self.bvh.nearest(origin, ray.direction, f32::INFINITY, stack) else { return self.nothing(ray) };
+        let distance = start + hit.distance;
+        let weights = Vec3::new(1.0 - hit.u - hit.v, hit.u, hit.v);
+        let object = self.geometry.object_triangles.len();
+        match (hit.triangle as usize).checked_sub(object) {
+            None => self.object(ray, distance, hit.triangle as usize, weights),
+            Some(t) => self.background(ray, distance, t, weights, pixel_angle(camera)),
+        }
+    }
+
+    fn nothing(&self, ray: Ray) -> GBufferPixel {
+        let radiance = self.geometry.environment.radiance(ray.direction);
+        GBufferPixel { a: [0.0, 0.0, Seen::Nothing.code(), f32::INFINITY], b: radiance.extend(0.0).into() }
+    }
+
+    fn object(&self, ray: Ray, distance: f32, t: usize, weights: Vec3) -> GBufferPixel {
+        let corners = self.geometry.object_triangles[t].map(|v| self.geometry.object_vertices[v as usize]);
+        let uv: Vec2 = (0..3).map(|k| weights[k] * Vec2::from(corners[k].uv)).sum();
+        let normal: Vec3 = (0..3).map(|k| weights[k] * Vec3::from(corners[k].normal)).sum();
+        let part = corners[0].part;
+        let seen = if faces(corners.map(|c| c.position), ray) { Seen::Object { part } } else { Seen::ObjectBack { part } };
+        let normal = normal.normalize_or(-ray.direction);
+        GBufferPixel { a: [uv.x, uv.y, seen.code(), distance], b: normal.extend(0.0).into() }
+    }
+
+    fn background(&self, ray: Ray, distance: f32, t: usize, weights: Vec3, pixel_angle: f32) -> GBufferPixel {
+        let corners = self.geometry.background_triangles[t].map(|v| self.geometry.background_vertices[v as usize]);
+        let blend = |of: fn(&BackgroundVertex) -> [f32; 3]| (0..3).map(|k| weights[k] * Vec3::from(of(&corners[k]))).sum::<Vec3>();
+        let uv: Vec2 = (0..3).map(|k| weights[k] * Vec2::from(corners[k].uv)).sum();
+        let front = faces(corners.map(|c| c.position), ray);
+        let irradiance = if front { blend(|v| v.irradiance_front) } else { blend(|v| v.irradiance_back) };
+        let cosine = blend(|v| v.normal).normalize_or(-ray.direction).dot(ray.direction).abs();
+        let material = &self.geometry.materials[corners[0].material as usize];
+        let mut albedo = Vec3::from(material.albedo);
+        if material.level_count > 0 {
+            let footprint = material.texels_per_length * distance * pixel_angle / cosine.max(LEAST_COSINE).sqrt();
+            albedo = self.geometry.pyramids.texture_color(material.first_level, material.level_count, uv, footprint);
+        }
+        let emission = if front { Vec3::from(material.emission) } else { Vec3::ZERO };
+        let radiance = emission + albedo * irradiance * std::f32::consts::FRAC_1_PI;
+        let seen = if material.unknown == 1 { Seen::Unknown } else { Seen::Background };
+        GBufferPixel { a: [uv.x, uv.y, seen.code(), distance], b: radiance.extend(0.0).into() }
+    }
+}
+
+// Grazing views would otherwise ask for ever coarser levels.
+const LEAST_COSINE: f32 = 0.05;
+
+// Whether the ray meets the side from which the corners run counter-clockwise.
+fn faces(corners: [[f32; 3]; 3], ray: Ray) -> bool {
+    let [a, b, c] = corners.map(Vec3::from);
+    (b - a).cross(c - a).dot(ray.direction) < 0.0
+}

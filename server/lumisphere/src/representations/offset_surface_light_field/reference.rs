@@ -1,0 +1,132 @@
+//! A frame on the CPU: rays for the G-buffer, `shade.rs` for the object, texels through a few pages kept by each thread.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
+
+use glam::Vec3;
+
+use super::shade::{ReadCube, shade_object};
+use super::{OffsetSurfaceLightField, Settings};
+use crate::directions::bilinear_footprint;
+use crate::geometry::Camera;
+use crate::raytrace::Stack;
+use crate::representations::buckets::{PixelResult, render_in_buckets};
+use crate::representations::g_buffer::{GBufferPixel, GBufferTracer, ProxyGeometry, Seen};
+use crate::representations::page_source::CountingSource;
+use crate::representations::{CpuKernel, FrameRequest, Pixels, Provenance, RenderError, Settings as AnySettings};
+use crate::textures::{Page, PageId};
+
+/// The field with its tree of triangles.
+pub(crate) struct Reference {
+    field: Arc<OffsetSurfaceLightField>,
+    tracer: GBufferTracer,
+}
+
+impl Reference {
+    pub fn new(field: Arc<OffsetSurfaceLightField>) -> Self {
+        let geometry = Arc::new(ProxyGeometry::new(&field.surface.mesh, &field.surface.part_of_triangle, &field.background));
+        Self { tracer: GBufferTracer::new(geometry), field }
+    }
+
+    /// The finished pixel (i, j) of a G-buffer from either twin.
+    pub fn shade(
+        &self,
+        settings: &Settings,
+        camera: &Camera,
+        (i, j): (u32, u32),
+        pixel: &GBufferPixel,
+        cubes: &mut dyn ReadCube,
+    ) -> Result<PixelResult, RenderError> {
+        let seen = Seen::from_code(pixel.a[2]);
+        let (radiance, provenance) = match seen {
+            Seen::Background | Seen::Nothing => (Vec3::from_slice(&pixel.b), Provenance::BACKGROUND),
+            Seen::Unknown => (Vec3::from_slice(&pixel.b), Provenance::UNKNOWN),
+            Seen::Object { .. } | Seen::ObjectBack { .. } => {
+                let ray = camera.pixel_ray(i, j);
+                let shaded = shade_object(&self.field, settings, ray.origin, ray.direction, pixel, cubes)?;
+                (shaded.radiance, shaded.provenance)
+            }
+        };
+        Ok(PixelResult::checked(radiance, pixel.a[3], provenance))
+    }
+}
+
+impl CpuKernel for Reference {
+    fn render(&self, request: &FrameRequest<'_>, pages: &CountingSource<'_>) -> Result<Pixels, RenderError> {
+        let AnySettings::OffsetSurfaceLightField(settings) = request.settings;
+        let touched = PagesTouched::new(self.field.page_count());
+        let face_size = self.field.parameters.face_size_texels;
+        let start = || (Stack::new(), PagedCubes::new(face_size, pages, &touched));
+        let mut frame = render_in_buckets(request, start, |(stack, cubes), i, j| {
+            let pixel = self.tracer.pixel(request.camera, i, j, stack);
+            self.shade(settings, request.camera, (i, j), &pixel, cubes)
+        })?;
+        frame.pages_needed = touched.count();
+        Ok(frame)
+    }
+}
+
+/// Which pages a frame has read.
+pub(super) struct PagesTouched(Vec<AtomicU32>);
+
+impl PagesTouched {
+    pub fn new(pages: usize) -> Self {
+        Self((0..pages.div_ceil(32)).map(|_| AtomicU32::new(0)).collect())
+    }
+
+    fn mark(&self, page: u32) {
+        self.0[page as usize / 32].fetch_or(1 << (page % 32), Ordering::Relaxed);
+    }
+
+    pub fn count(&self) -> usize {
+        self.0.iter().map(|w| w.load(Ordering::Relaxed).count_ones() as usize).sum()
+    }
+}
+
+// A power of two; a bucket of 16×16 pixels reads a few dozen pages.
+const PAGES_PER_THREAD: usize = 64;
+
+/// Cube maps in pages, the latest of which one thread keeps, so that most reads take no lock.
+pub(super) struct PagedCubes<'a> {
+    face_size: u32,
+    source: &'a CountingSource<'a>,
+    touched: &'a PagesTouched,
+    // Page p has its place at p mod PAGES_PER_THREAD.
+    kept: Vec<Option<(u32, Arc<Page>)>>,
+}
+
+impl<'a> PagedCubes<'a> {
+    pub fn new(face_size: u32, source: &'a CountingSource<'a>, touched: &'a PagesTouched) -> Self {
+        Self { face_size, source, touched, kept: vec![None; PAGES_PER_THREAD] }
+    }
+
+    fn page(&mut self, page: u32) -> Result<&Page, RenderError> {
+        let place = page as usize % PAGES_PER_THREAD;
+        let kept = &mut self.kept[place];
+        match kept {
+            Some((p, _)) if *p == page => {}
+            _ => {
+                let fetched = self.source.page(PageId(page))?;
+                super::check_page(page, &fetched, self.face_size)?;
+                self.touched.mark(page);
+                *kept = Some((page, fetched));
+            }
+        }
+        match kept {
+            Some((_, page)) => Ok(page),
+            None => unreachable!("filled above"),
+        }
+    }
+}
+
+impl ReadCube for PagedCubes<'_> {
+    fn read_cube(&mut self, cube: u32, direction: Vec3) -> Result<Vec3, RenderError> {
+        let mut radiance = Vec3::ZERO;
+        for (texel, weight) in bilinear_footprint(direction, self.face_size as usize) {
+            let page = self.page(OffsetSurfaceLightField::page(cube as usize, texel.face))?;
+            let [r, g, b, _] = page.texel(texel.column as u32, texel.row as u32);
+            radiance += weight * Vec3::new(r, g, b);
+        }
+        Ok(radiance)
+    }
+}

@@ -1,0 +1,230 @@
+//! The CPU reference: a surface point's radiance from the sample points around it. `kernel.wgsl` has the same functions by the same
+//! names; numbered equations are in the module's documentation.
+//!
+//! Powers are computed by our own series (Cephes' `logf` and `expf`, S. L. Moshier), because WGSL leaves the accuracy of `pow` to the
+//! device. Invalid indices weigh nothing. What no rule answers is filled and flagged, never passed off as a hit.
+
+use glam::Vec3;
+
+use super::{Blend, Component, NO_SAMPLE, OffsetSurfaceLightField, RUNTIME_HORIZON_DEG, Settings};
+use crate::representations::RenderError;
+use crate::representations::g_buffer::{GBufferPixel, Seen};
+use crate::representations::provenance::{Answer, Provenance};
+
+/// Reads cube map `cube` toward a direction (any length above zero): bilinear, seamless.
+pub(super) trait ReadCube {
+    fn read_cube(&mut self, cube: u32, direction: Vec3) -> Result<Vec3, RenderError>;
+}
+
+/// Radiance and where it comes from.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Shaded {
+    pub radiance: Vec3,
+    pub provenance: Provenance,
+}
+
+/// Weights of the texel's four candidates (sum 1, or all 0 without candidates), and whether a fallback chose them.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct BlendWeights {
+    pub weights: [f32; 4],
+    pub answer: Answer,
+}
+
+/// Radiance of an object's pixel; `direction` from the camera along the pixel's ray, unit.
+pub(super) fn shade_object(
+    field: &OffsetSurfaceLightField,
+    settings: &Settings,
+    origin: Vec3,
+    direction: Vec3,
+    pixel: &GBufferPixel,
+    cubes: &mut dyn ReadCube,
+) -> Result<Shaded, RenderError> {
+    let [u, v, code, distance] = pixel.a;
+    let (part, back) = match Seen::from_code(code) {
+        Seen::Object { part } => (part, false),
+        Seen::ObjectBack { part } => (part, true),
+        Seen::Background | Seen::Nothing | Seen::Unknown => unreachable!("only the object's pixels are shaded here"),
+    };
+    let n = Vec3::new(pixel.b[0], pixel.b[1], pixel.b[2]);
+    let x = origin + distance * direction;
+    let candidates = field.sample_maps.at(part, u, v);
+    let mut shaded = match settings.component {
+        Component::Reconstruction => reconstruct(field, x, n, candidates, cubes)?,
+        Component::Mirror => mirror(field, settings, x, n, direction, candidates, cubes)?,
+        Component::Full => {
+            let own = reconstruct(field, x, n, candidates, cubes)?;
+            let reflected = mirror(field, settings, x, n, direction, candidates, cubes)?;
+            Shaded { radiance: own.radiance + reflected.radiance, provenance: worse(own.provenance, reflected.provenance) }
+        }
+    };
+    if back {
+        shaded.provenance = Provenance::UNKNOWN;
+    }
+    Ok(shaded)
+}
+
+/// The reconstruction's provenance, unless the mirror's answer is the less certain one.
+pub(super) fn worse(own: Provenance, reflected: Provenance) -> Provenance {
+    if (reflected.answer() as u32) > own.answer() as u32 { reflected } else { own }
+}
+
+/// The object's own appearance: `Lᵢ(p; normalize(x − p))`, p the nearest candidate within 65° of n, else the nearest (filled).
+pub(super) fn reconstruct(
+    field: &OffsetSurfaceLightField,
+    x: Vec3,
+    n: Vec3,
+    candidates: [u16; 4],
+    cubes: &mut dyn ReadCube,
+) -> Result<Shaded, RenderError> {
+    let cos_horizon = RUNTIME_HORIZON_DEG.to_radians().cos();
+    let position = |j: u16| field.sample_points[usize::from(j)].position;
+    let within = |j: &u16| *j != NO_SAMPLE && n.dot(toward(x, position(*j), n)) > cos_horizon;
+    let chosen = candidates.iter().find(|j| within(j)).map(|j| (*j, Answer::Hit));
+    let nearest = || candidates.iter().find(|j| **j != NO_SAMPLE).map(|j| (*j, Answer::Filled));
+    let Some((j, answer)) = chosen.or_else(nearest) else { return Ok(NOTHING) };
+    let radiance = cubes.read_cube(u32::from(j), -toward(x, position(j), n))?;
+    Ok(Shaded { radiance, provenance: Provenance::new(answer, u32::from(j)) })
+}
+
+const NOTHING: Shaded = Shaded { radiance: Vec3::ZERO, provenance: Provenance::UNKNOWN };
+
+/// The mirror's radiance: `C_s Σⱼ βⱼ Lᵢ(pⱼ; r)`. `d` is the unit direction from the camera, −v.
+pub(super) fn mirror(
+    field: &OffsetSurfaceLightField,
+    settings: &Settings,
+    x: Vec3,
+    n: Vec3,
+    d: Vec3,
+    candidates: [u16; 4],
+    cubes: &mut dyn ReadCube,
+) -> Result<Shaded, RenderError> {
+    let r = mirror_direction(n, d);
+    if settings.blend == Blend::EnvironmentMap {
+        let baseline = field.sample_points.len() as u32;
+        let radiance = settings.specular_reflectance * cubes.read_cube(baseline, r)?;
+        return Ok(Shaded { radiance, provenance: Provenance::new(Answer::Hit, baseline) });
+    }
+    let toward_samples = candidates.map(|j| if j == NO_SAMPLE { n } else { toward(x, field.sample_points[usize::from(j)].position, n) });
+    let BlendWeights { weights, answer } = blend_weights(settings.blend, candidates, toward_samples, n, r);
+    if answer == Answer::Unknown {
+        return Ok(NOTHING);
+    }
+    let mut radiance = Vec3::ZERO;
+    let mut heaviest = 0;
+    for k in 0..4 {
+        if weights[k] > 0.0 {
+            radiance += weights[k] * cubes.read_cube(u32::from(candidates[k]), r)?;
+        }
+        if weights[k] > weights[heaviest] {
+            heaviest = k;
+        }
+    }
+    let provenance = Provenance::new(answer, u32::from(candidates[heaviest]));
+    Ok(Shaded { radiance: settings.specular_reflectance * radiance, provenance })
+}
+
+/// `r = 2 n (n·v) − v` with v = −d.
+pub(super) fn mirror_direction(n: Vec3, d: Vec3) -> Vec3 {
+    d - 2.0 * n.dot(d) * n
+}
+
+/// Unit vector from x to p; n where they coincide.
+pub(super) fn toward(x: Vec3, p: Vec3, n: Vec3) -> Vec3 {
+    let offset = p - x;
+    let length = offset.length();
+    if length > 0.0 { offset / length } else { n }
+}
+
+/// βⱼ by the blend's rule; where every weight vanishes, all of it on the nearest candidate (filled).
+pub(super) fn blend_weights(blend: Blend, candidates: [u16; 4], toward_samples: [Vec3; 4], n: Vec3, r: Vec3) -> BlendWeights {
+    let valid = candidates.map(|j| j != NO_SAMPLE);
+    let Some(nearest) = valid.iter().position(|v| *v) else { return BlendWeights { weights: [0.0; 4], answer: Answer::Unknown } };
+    let weights = match blend {
+        Blend::Distance | Blend::EnvironmentMap => only(nearest),
+        Blend::Angle => only(largest(toward_samples.map(|s| s.dot(r)), valid, nearest)),
+        Blend::Average => normalized(valid.map(|v| if v { 1.0 } else { 0.0 })),
+        Blend::Reflection { exponent } => normalized(sharpened(toward_samples.map(|s| s.dot(r)), valid, exponent)),
+        Blend::Normal { exponent } => normalized(sharpened(toward_samples.map(|s| s.dot(n)), valid, exponent)),
+    };
+    if weights == [0.0; 4] {
+        return BlendWeights { weights: only(nearest), answer: Answer::Filled };
+    }
+    BlendWeights { weights, answer: Answer::Hit }
+}
+
+fn only(k: usize) -> [f32; 4] {
+    let mut weights = [0.0; 4];
+    weights[k] = 1.0;
+    weights
+}
+
+// Index of the largest valid value; the first of equals.
+fn largest(values: [f32; 4], valid: [bool; 4], nearest: usize) -> usize {
+    (nearest..4).filter(|k| valid[*k]).fold(nearest, |best, k| if values[k] > values[best] { k } else { best })
+}
+
+// cᴺ of the valid, positive cosines, divided by the largest so that no exponent makes them all vanish.
+fn sharpened(cosines: [f32; 4], valid: [bool; 4], exponent: f32) -> [f32; 4] {
+    let clamped: [f32; 4] = std::array::from_fn(|k| if valid[k] { cosines[k].max(0.0) } else { 0.0 });
+    let highest = clamped.into_iter().fold(0f32, f32::max);
+    if !(highest > 0.0) {
+        return valid.map(|v| if v && exponent == 0.0 { 1.0 } else { 0.0 });
+    }
+    std::array::from_fn(|k| if valid[k] { power(clamped[k] / highest, exponent) } else { 0.0 })
+}
+
+fn normalized(weights: [f32; 4]) -> [f32; 4] {
+    let sum = weights[0] + weights[1] + weights[2] + weights[3];
+    if sum > 0.0 { weights.map(|w| w / sum) } else { [0.0; 4] }
+}
+
+/// `base` to the power `exponent` for base in [0, 1] and exponent ≥ 0; 0⁰ = 1.
+pub(super) fn power(base: f32, exponent: f32) -> f32 {
+    if exponent == 0.0 {
+        return 1.0;
+    }
+    if !(base > 0.0) {
+        return 0.0;
+    }
+    exponential(exponent * logarithm(base))
+}
+
+/// Natural logarithm of x in (0, 1]: relative error below 10⁻⁶, also near 1. Subnormal x count as 2⁻¹²⁶.
+pub(super) fn logarithm(x: f32) -> f32 {
+    let bits = x.max(f32::MIN_POSITIVE).to_bits();
+    let mut exponent = (bits >> 23) as f32 - 126.0;
+    // Mantissa in [½, 1), moved to [√½, √2) around 1.
+    let mut m = f32::from_bits(bits & 0x007f_ffff | 0x3f00_0000);
+    if m < std::f32::consts::FRAC_1_SQRT_2 {
+        exponent -= 1.0;
+        m += m;
+    }
+    let f = m - 1.0;
+    let z = f * f;
+    let mut y = 7.037_683_6e-2;
+    for c in
+        [-1.151_461e-1, 1.167_699_8e-1, -1.242_014_1e-1, 1.424_932_3e-1, -1.666_805_7e-1, 2.000_071_5e-1, -2.499_999_4e-1, 3.333_333_1e-1]
+    {
+        y = y * f + c;
+    }
+    y = y * f * z + exponent * LN_2_LOW - 0.5 * z;
+    f + y + exponent * LN_2_HIGH
+}
+
+// ln 2 in two pieces: the first has so few bits that its product with a small integer is exact.
+const LN_2_HIGH: f32 = 0.693_359_375;
+const LN_2_LOW: f32 = -2.121_944_4e-4;
+
+/// eˣ for x ≤ 0: relative error below 10⁻⁶; 0 below −87.
+pub(super) fn exponential(x: f32) -> f32 {
+    if !(x > -87.0) {
+        return 0.0;
+    }
+    let n = (x * std::f32::consts::LOG2_E + 0.5).floor();
+    let f = x - n * LN_2_HIGH - n * LN_2_LOW;
+    let mut y = 1.987_569_1e-4;
+    for c in [1.398_199_9e-3, 8.333_452e-3, 4.166_579_6e-2, 1.666_666_5e-1, 5e-1] {
+        y = y * f + c;
+    }
+    (y * f * f + f + 1.0) * f32::from_bits(((n as i32 + 127) as u32) << 23)
+}

@@ -1,0 +1,196 @@
+//! A light field that is known in closed form: a coloured sphere of radius 1 under a smooth environment at infinity, on a textured
+//! floor that only the background shows. Everything can be turned about the origin and scaled.
+
+use std::sync::Arc;
+
+use glam::{Quat, Vec2, Vec3};
+
+use crate::capture::{Background, BackgroundSurface};
+use crate::directions::{FACES, direction_from_face, direction_from_lat_long, texel_direction};
+use crate::geometry::{Camera, Intrinsics, Pose, TriangleMesh};
+use crate::images::Image;
+use crate::representations::offset_surface_light_field::{
+    NO_SAMPLE, OffsetSurfaceLightField, Parameters, SamplePoint, Spacing, SurfaceMesh, build_sample_maps,
+};
+use crate::representations::{Fetched, PageSource};
+use crate::scenes::{Albedo, Environment, EnvironmentMap, Texture};
+use crate::textures::{Page, PageId, PageShape, PixelFormat, StoreError};
+
+/// How the world is made and where it is put.
+#[derive(Debug, Clone, Copy)]
+pub struct World {
+    /// Of object, light and background together.
+    pub rotation: Quat,
+    /// Of every length.
+    pub scale: f32,
+    /// Sample points around the sphere.
+    pub points: usize,
+    /// Texels along a cube map's face.
+    pub face_size: u32,
+    /// Quads along an edge of each of the sphere's six parts.
+    pub quads: u32,
+    /// Of the pages.
+    pub pixel: PixelFormat,
+}
+
+/// Small enough for tests.
+pub const WORLD: World = World { rotation: Quat::IDENTITY, scale: 1.0, points: 80, face_size: 32, quads: 12, pixel: PixelFormat::F16 };
+
+/// Offset of the sample points, in radii.
+pub const EPSILON: f32 = 0.1;
+
+/// All of a dataset's pages in memory.
+#[derive(Debug)]
+pub struct MemoryPages(pub Vec<Arc<Page>>);
+
+impl PageSource for MemoryPages {
+    fn page(&self, page: PageId) -> Result<Fetched, StoreError> {
+        let found = self.0.get(page.0 as usize).ok_or_else(|| StoreError::NotFound { what: format!("page {page}") })?;
+        Ok(Fetched { page: found.clone(), was_resident: true, bytes_read: 0 })
+    }
+}
+
+/// From infinity, in the unturned world; smooth, between 0.1 and 1.6.
+pub fn environment_radiance(d: Vec3) -> Vec3 {
+    Vec3::new(0.8 + 0.5 * d.x, 0.7 + 0.3 * d.y + 0.2 * d.x * d.z, 0.9 - 0.4 * d.z + 0.3 * d.x * d.y)
+}
+
+/// Of the sphere's point with normal `n`, in every direction; in the unturned world.
+pub fn surface_radiance(n: Vec3) -> Vec3 {
+    Vec3::new(0.4 + 0.2 * n.y, 0.5 - 0.2 * n.x * n.z, 0.3 + 0.25 * n.z)
+}
+
+/// What is seen from `p` toward the unit vector `d`, and how far; in the unturned world of radius 1.
+pub fn seen(p: Vec3, d: Vec3) -> (Vec3, f32) {
+    let (b, c) = (p.dot(d), p.length_squared() - 1.0);
+    let discriminant = b * b - c;
+    if discriminant > 0.0 && -b - discriminant.sqrt() > 0.0 {
+        let t = -b - discriminant.sqrt();
+        return (surface_radiance((p + t * d).normalize()), t);
+    }
+    (environment_radiance(d), f32::INFINITY)
+}
+
+impl World {
+    /// The light field and its pages.
+    pub fn build(&self) -> (OffsetSurfaceLightField, MemoryPages) {
+        let place = |p: Vec3| self.scale * (self.rotation * p);
+        let surface = self.sphere();
+        let sample_points: Vec<SamplePoint> = (0..self.points)
+            .map(|i| fibonacci(i, self.points))
+            .map(|n| SamplePoint { position: place((1.0 + EPSILON) * n), normal: self.rotation * n })
+            .collect();
+        // The same points for every rotation and scale: distances are compared on equal terms, whatever the rounding.
+        let unturned = Self { rotation: Quat::IDENTITY, scale: 1.0, ..*self };
+        let unturned_points: Vec<SamplePoint> =
+            (0..self.points).map(|i| fibonacci(i, self.points)).map(|n| SamplePoint { position: (1.0 + EPSILON) * n, normal: n }).collect();
+        let sample_maps = build_sample_maps(&unturned.sphere(), &unturned_points, 16, &|_, _| true);
+        let mut pages = Vec::new();
+        for cube in 0..=self.points {
+            let at = if cube < self.points { (1.0 + EPSILON) * fibonacci(cube, self.points) } else { Vec3::ZERO };
+            pages.extend((0..FACES).map(|face| Arc::new(self.page(at, cube == self.points, face))));
+        }
+        let parameters = Parameters {
+            object: "sphere".into(),
+            epsilon: EPSILON * self.scale,
+            face_size_texels: self.face_size,
+            sample_map_size_texels: 16,
+            spacing: Spacing::Count(self.points as u32),
+            object_center: [0.0; 3],
+            samples_per_texel: 1,
+            max_bounces: 1,
+            seed: 0,
+        };
+        let background = self.background();
+        (OffsetSurfaceLightField { parameters, surface, sample_points, sample_maps, background }, MemoryPages(pages))
+    }
+
+    fn page(&self, at: Vec3, without_sphere: bool, face: usize) -> Page {
+        let size = self.face_size as usize;
+        let mut values = Vec::with_capacity(4 * size * size);
+        for (row, column) in (0..size).flat_map(|r| (0..size).map(move |c| (r, c))) {
+            let d = self.rotation.inverse() * texel_direction(face, size, column as f32 + 0.5, row as f32 + 0.5);
+            let (radiance, distance) = if without_sphere { (environment_radiance(d), f32::INFINITY) } else { seen(at, d) };
+            values.extend([radiance.x, radiance.y, radiance.z, distance * self.scale]);
+        }
+        let shape = PageShape { width: self.face_size, height: self.face_size, channels: 4, pixel: self.pixel };
+        Page::from_f32(shape, &values).expect("shape and count agree")
+    }
+
+    // A part for each face of a cube, blown up to a sphere; (u, v) run with (s, t).
+    fn sphere(&self) -> SurfaceMesh {
+        let (mut positions, mut normals, mut uvs, mut triangles, mut part_of_triangle) = (vec![], vec![], vec![], vec![], vec![]);
+        for face in 0..FACES {
+            let first = positions.len() as u32;
+            for (j, i) in (0..=self.quads).flat_map(|j| (0..=self.quads).map(move |i| (j, i))) {
+                let uv = Vec2::new(i as f32, j as f32) / self.quads as f32;
+                let n = self.rotation * direction_from_face(face, 2.0 * uv.x - 1.0, 2.0 * uv.y - 1.0).normalize();
+                positions.push(self.scale * n);
+                normals.push(n);
+                uvs.push(uv);
+            }
+            for (j, i) in (0..self.quads).flat_map(|j| (0..self.quads).map(move |i| (j, i))) {
+                let row = self.quads + 1;
+                let a = first + j * row + i;
+                // s to the right and t down, seen from inside: counter-clockwise from outside.
+                triangles.extend([[a, a + 1, a + row + 1], [a, a + row + 1, a + row]]);
+                part_of_triangle.extend([face as u32; 2]);
+            }
+        }
+        let mesh = TriangleMesh::new(positions, normals, uvs, triangles).expect("a sphere is a mesh");
+        SurfaceMesh { mesh, part_of_triangle, parts: FACES as u32 }
+    }
+
+    // A square floor below the sphere with a checkered texture, and the environment as a small map.
+    fn background(&self) -> Background {
+        let corners = [Vec2::new(-3.0, -3.0), Vec2::new(3.0, -3.0), Vec2::new(3.0, 3.0), Vec2::new(-3.0, 3.0)];
+        let positions = corners.map(|c| self.scale * (self.rotation * Vec3::new(c.x, -1.2, c.y))).to_vec();
+        let normals = vec![self.rotation * Vec3::Y; 4];
+        let uvs = corners.map(|c| (c + 3.0) / 3.0).to_vec();
+        let mesh = TriangleMesh::new(positions, normals, uvs, vec![[0, 2, 1], [0, 3, 2]]).expect("a square is a mesh");
+        let irradiance = [1.0, 2.0, 3.0, 4.0].map(|e| [Vec3::new(e, 2.0, 1.0), Vec3::new(0.5, e, 0.25)]).to_vec();
+        let floor = BackgroundSurface { mesh, irradiance, albedo: Some(Albedo::Texture(0)), emission: Vec3::new(0.0, 0.0, 0.05) };
+        let mut image = Image::zeros(16, 16, 3);
+        for i in 0..256 {
+            image.set_rgb(i, if (i % 16 / 4 + i / 64) % 2 == 0 { [0.75, 0.5, 0.25] } else { [0.25, 0.5, 0.75] });
+        }
+        Background { surfaces: vec![floor], textures: vec![Texture { image }], environment: Environment::Map(self.environment_map()) }
+    }
+
+    // Turned about +Y as far as the rotation is one about +Y; other rotations bake into the texels.
+    fn environment_map(&self) -> EnvironmentMap {
+        let mut image = Image::zeros(64, 32, 3);
+        for (row, column) in (0..32).flat_map(|r| (0..64).map(move |c| (r, c))) {
+            let d = direction_from_lat_long(Vec2::new((column as f32 + 0.5) / 64.0, (row as f32 + 0.5) / 32.0));
+            let radiance = environment_radiance(self.rotation.inverse() * Quat::from_rotation_y(ENVIRONMENT_TURN) * d);
+            image.set_rgb(row * 64 + column, radiance.into());
+        }
+        EnvironmentMap { image, rotation: ENVIRONMENT_TURN }
+    }
+
+    /// A camera at `origin` (in the unturned world of radius 1) that looks at `target`.
+    pub fn camera(&self, origin: Vec3, target: Vec3, width: u32, height: u32) -> Camera {
+        let up = if (target - origin).normalize().y.abs() > 0.99 { Vec3::Z } else { Vec3::Y };
+        let place = |p: Vec3| self.scale * (self.rotation * p);
+        let pose = Pose::look_at(place(origin), place(target), self.rotation * up).expect("distinct points");
+        Camera::new(Intrinsics::from_vfov(45.0, width, height).expect("a sensible angle"), pose).expect("a camera")
+    }
+}
+
+// So that the map's own rotation is tested, too.
+const ENVIRONMENT_TURN: f32 = 0.6;
+
+/// Takes away samples: every third texel keeps `kept` of its four, whatever was there.
+pub fn starve(field: &mut OffsetSurfaceLightField, kept: usize) {
+    for texel in field.sample_maps.indices.iter_mut().step_by(3) {
+        texel[kept..].fill(NO_SAMPLE);
+    }
+}
+
+// Point i of n spread evenly over the sphere.
+fn fibonacci(i: usize, n: usize) -> Vec3 {
+    let y = 1.0 - (2.0 * i as f32 + 1.0) / n as f32;
+    let (sin, cos) = (2.399_963_2 * i as f32).sin_cos();
+    let r = (1.0 - y * y).sqrt();
+    Vec3::new(r * cos, y, r * sin)
+}
