@@ -16,7 +16,7 @@
 //! | ` transform` + | 16 numbers column by column, or `{translate, rotate_deg: [x,y,z], scale}`: scale, then turns about X, Y, Z, then move |
 //! | ` flip`, `uv_scale` + | the other side in front; factor [u,v] on texture coordinates |
 //! | `lights[]` + | `{type: "point", position, intensity}` (W/sr) · `{type: "disc" or "rect", …as the shape, radiance, name}` |
-//! | `environment` | `{file, scale, rotation_deg}` · `{radiance}` · null; + `layout` "lat-long" (default), "cube-opengl", "cube-openexr", and `files` for six faces +X −X +Y −Y +Z −Z |
+//! | `environment` | `{file, scale, rotation_deg}` · `{radiance}` · null; + `layout` "lat-long" (default), "lat-long-openexr", "cube-opengl", "cube-openexr", and `files` for six faces +X −X +Y −Y +Z −Z |
 //! | `cameras[]` | `name, origin, target, up, vfov_deg, width, height` |
 
 mod assembly;

@@ -223,7 +223,7 @@ fn written_environment(assembly: &mut Assembly, node: &Node) -> Result<Environme
 // Six faces, +X −X +Y −Y +Z −Z, a file each. Whose convention they follow cannot be guessed.
 fn cube_of_files(assembly: &mut Assembly, files: &Node, layout: Option<Layout>) -> Result<Image, SceneError> {
     let paths = files.list()?;
-    let layout = layout.filter(|l| *l != Layout::LatLong);
+    let layout = layout.filter(|l| matches!(l, Layout::CubeOpenGl | Layout::CubeOpenExr));
     let (Some(layout), 6) = (layout, paths.len()) else {
         return Err(files.wrong("six files +X −X +Y −Y +Z −Z and a \"layout\", \"cube-opengl\" or \"cube-openexr\""));
     };
