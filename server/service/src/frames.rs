@@ -117,8 +117,12 @@ impl Frames {
 /// The colour of a frame as an image.
 pub fn color_image(frame: &Frame) -> Image {
     let (width, height) = (frame.width_px as usize, frame.height_px as usize);
-    let plane = |channel: usize| frame.pixels.color.iter().skip(channel).step_by(3).copied().collect();
-    Image { width, height, planes: vec![plane(0), plane(1), plane(2)] }
+    let mut image = Image::zeros(width, height, 3);
+    let [red, green, blue] = &mut image.planes[..] else { unreachable!("three planes were asked for") };
+    for (((pixel, r), g), b) in frame.pixels.color.as_chunks::<3>().0.iter().zip(red).zip(green).zip(blue) {
+        [*r, *g, *b] = *pixel;
+    }
+    image
 }
 
 fn observe(metrics: &Metrics, timings: &proto::FrameTimings) {

@@ -32,6 +32,7 @@ use crate::frames::Frames;
 use crate::jobs::{JobLimits, Jobs};
 use crate::render_queue::RenderQueue;
 use crate::sessions::Sessions;
+use crate::shutdown::{Drained, until_drained};
 use crate::telemetry::{Metrics, start_logging};
 use crate::wire::jobs::SpecLimits;
 use crate::work::Work;
@@ -72,15 +73,28 @@ fn run(effective: Effective) -> anyhow::Result<()> {
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().context("cannot start the runtime")?;
     let grace = effective.config.shutdown_grace;
     let app = Arc::new(assemble(effective, runtime.handle())?);
-    let served = runtime.block_on(serve::serve(app.clone(), grace));
-    // Running jobs stop between two pieces and go on after the next start; one that does not stop in time is as good as killed.
-    let jobs = app.jobs.clone();
-    let stopped = runtime.spawn_blocking(move || jobs.stop());
-    if !runtime.block_on(shutdown::joined_within(stopped, grace)) {
-        tracing::warn!("a job did not stop in time; it goes on after the next start from what it has stored");
-    }
+    let served = runtime.block_on(async {
+        let serving = async {
+            let served = serve::serve(app.clone(), grace).await;
+            // Could not serve: then the jobs stop too.
+            app.stopping.cancel();
+            served
+        };
+        tokio::join!(serving, stop_jobs(&app, grace)).0
+    });
     runtime.shutdown_timeout(LAST_PATIENCE);
     served
+}
+
+/// Once asked to stop: running jobs stop between two pieces and go on after the next start. One that takes longer than `grace` is as good
+/// as killed.
+async fn stop_jobs(app: &App, grace: Duration) {
+    app.stopping.cancelled().await;
+    let jobs = app.jobs.clone();
+    let stopped = tokio::task::spawn_blocking(move || jobs.stop());
+    if let (_, Drained::Cut) = until_drained(stopped, &app.stopping, grace).await {
+        tracing::warn!("a job did not stop in time; it goes on after the next start from what it has stored");
+    }
 }
 
 fn assemble(effective: Effective, runtime: &tokio::runtime::Handle) -> anyhow::Result<App> {

@@ -4,7 +4,6 @@ use std::process;
 use std::time::Duration;
 
 use tokio::signal::unix::{Signal, SignalKind, signal};
-use tokio::time::timeout;
 use tokio_util::sync::CancellationToken;
 
 /// Exit code after a second signal, as a shell gives it for SIGINT.
@@ -61,11 +60,6 @@ pub async fn until_drained<T>(work: impl Future<Output = T>, stopping: &Cancella
         value = work => (Some(value), Drained::Whole),
         () = deadline => (None, Drained::Cut),
     }
-}
-
-/// Waits for a blocking thread's end at most this long; true if it ended.
-pub async fn joined_within(thread: tokio::task::JoinHandle<()>, patience: Duration) -> bool {
-    timeout(patience, thread).await.is_ok()
 }
 
 #[cfg(test)]

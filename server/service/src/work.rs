@@ -6,6 +6,7 @@ mod path_render;
 mod scene;
 mod views;
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use lumisphere::textures::ContentHash;
@@ -39,8 +40,14 @@ impl JobBody for Work {
     }
 
     fn forget(&self, results: &[ResultBlob]) {
-        for hash in results.iter().filter_map(|blob| blob.blake3.parse().ok()) {
-            if let Err(error) = self.catalog.store().remove_upload(&hash) {
+        let store = self.catalog.store();
+        // A result may have become an input since: a rendered environment that lights another capture.
+        let manifests =
+            store.datasets().into_iter().flat_map(|d| store.versions(&d).unwrap_or_default().into_iter().map(move |v| (d.clone(), v)));
+        let inputs: BTreeSet<ContentHash> =
+            manifests.filter_map(|(d, v)| store.manifest(&d, Some(v)).ok()).flat_map(|m| m.inputs.into_values()).collect();
+        for hash in results.iter().filter_map(|blob| blob.blake3.parse().ok()).filter(|hash| !inputs.contains(hash)) {
+            if let Err(error) = store.remove_upload(&hash) {
                 tracing::warn!(%error, "cannot remove the result of an old job");
             }
         }
