@@ -22,6 +22,11 @@ use crate::errors::{ApiError, Reason, code_of};
 use crate::render_queue::panic_message;
 use crate::wire::reason_name;
 
+/// Of all jobs that have not ended.
+const SPECS_WAITING_BYTES: usize = 32 << 20;
+/// Of all jobs that are remembered.
+const SPECS_KEPT_BYTES: usize = 64 << 20;
+
 /// What jobs do.
 pub trait JobBody: Send + Sync + 'static {
     /// Does the work of `spec` (protobuf, checked when it was submitted). Asks `attempt` between pieces whether to go on and returns
@@ -216,8 +221,8 @@ impl Shared {
     /// Waits for a job and runs it; false once stopping.
     fn run_next(&self) -> bool {
         let Some((mut record, attempt)) = self.take_next() else { return false };
-        let spec = record.spec();
-        let work = || self.pool.install(|| self.body.run(&spec, &attempt));
+        let spec = record.spec.clone();
+        let work = || self.pool.install(|| self.body.run(&spec.0, &attempt));
         let result = catch_unwind(AssertUnwindSafe(work))
             .unwrap_or_else(|panic| Err(ApiError::internal(format!("job panicked: {}", panic_message(panic.as_ref())))));
         if attempt.is_stopped() && !attempt.is_cancel_asked() && result.as_ref().is_err_and(|e| e.reason() == Reason::JobCancelled) {
@@ -267,7 +272,12 @@ impl Shared {
 
     fn forget_old(&self, table: &mut Table) {
         let ended: Vec<u64> = table.jobs.values().filter_map(|j| j.ended_number()).collect();
-        for number in &ended[..ended.len().saturating_sub(self.limits.kept)] {
+        let mut excess = ended.len().saturating_sub(self.limits.kept);
+        // Large specifications go earlier: what is remembered has a bound in bytes too.
+        while excess < ended.len() && table.spec_bytes(&ended[..excess]) > SPECS_KEPT_BYTES {
+            excess += 1;
+        }
+        for number in &ended[..excess] {
             self.folder.remove(*number);
             let Some(job) = table.jobs.remove(number) else { continue };
             let mut unnamed = job.results();
@@ -281,6 +291,12 @@ impl Table {
     fn job(&self, name: &str) -> Result<&Job, ApiError> {
         let job = job_number(name).and_then(|number| self.jobs.get(&number));
         job.ok_or_else(|| ApiError::new(Reason::JobNotFound, format!("no job {name:?}")))
+    }
+
+    /// Bytes of all specifications but those of these jobs.
+    fn spec_bytes(&self, without: &[u64]) -> usize {
+        let counted = self.jobs.iter().filter(|(number, _)| !without.contains(number));
+        counted.map(|(_, job)| job.view.borrow().record.spec.0.len()).sum()
     }
 
     fn unended(&self) -> impl Iterator<Item = watch::Ref<'_, JobView>> + '_ {
@@ -309,6 +325,11 @@ impl Table {
         }
         if self.queue.len() >= limits.queued {
             return Err(ApiError::new(Reason::JobQueueFull, format!("{} jobs are waiting, no more are taken", limits.queued)));
+        }
+        let waiting: usize = self.unended().map(|v| v.record.spec.0.len()).sum();
+        if waiting + submission.spec.len() > SPECS_WAITING_BYTES {
+            let message = format!("the waiting jobs' specifications have {waiting} bytes, no more than {SPECS_WAITING_BYTES} are taken");
+            return Err(ApiError::new(Reason::JobQueueFull, message));
         }
         let Some(dataset) = &submission.writes else { return Ok(()) };
         let Some(other) = self.unended().find(|v| v.record.writes.as_ref() == Some(dataset)) else { return Ok(()) };

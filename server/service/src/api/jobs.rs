@@ -8,7 +8,7 @@ use tonic::{Request, Response, Status};
 use super::{Answers, Api, App, blocking};
 use crate::errors::{ApiError, Reason};
 use crate::jobs::{JobView, Submission};
-use crate::wire::jobs::{JobSpec, digest, job, job_event, job_spec, remembered, request_id};
+use crate::wire::jobs::{JobSpec, digest, job, job_event, job_spec, listed_job, remembered, request_id};
 use crate::wire::proto::{self, jobs_server::Jobs};
 use crate::wire::settings::check_kind;
 use crate::wire::{self};
@@ -35,7 +35,7 @@ impl Jobs for Api {
         let jobs = self.0.jobs.clone();
         let (page, more) = blocking(move || Ok(jobs.list(count, before))).await?;
         let next_page_token = page.last().filter(|_| more).map(|view| view.number.to_string()).unwrap_or_default();
-        let jobs = page.iter().map(job).collect::<Result<_, _>>()?;
+        let jobs = page.iter().map(listed_job).collect::<Result<_, _>>()?;
         Ok(Response::new(proto::ListJobsResponse { jobs, next_page_token }))
     }
 

@@ -3,9 +3,11 @@
 use std::fs::{self, File};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use serde::{Deserialize, Serialize};
+use serde::de::Error as _;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::Submission;
 use crate::errors::{ApiError, Reason};
@@ -28,8 +30,8 @@ pub struct Record {
     pub request_id: String,
     /// BLAKE3 of the specification as it came: tells a repeated request from another with the same id.
     pub asked: String,
-    /// What to do (protobuf), in hexadecimal.
-    spec: String,
+    /// What to do.
+    pub spec: Spec,
     /// How it is.
     pub state: State,
     /// Milliseconds since 1970, UTC.
@@ -44,6 +46,25 @@ pub struct Record {
     pub failure: Option<Failure>,
     /// What it made.
     pub outcome: Option<Outcome>,
+}
+
+/// What a job is to do, as protobuf; in the file, hexadecimal. Cheap to clone: every event holds one.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Spec(pub Arc<[u8]>);
+
+impl Serialize for Spec {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let digit = |value: u8| char::from(b"0123456789abcdef"[usize::from(value)]);
+        let digits: String = self.0.iter().flat_map(|byte| [digit(byte >> 4), digit(byte & 15)]).collect();
+        serializer.serialize_str(&digits)
+    }
+}
+
+impl<'de> Deserialize<'de> for Spec {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let bytes = decode_hex(&String::deserialize(deserializer)?);
+        bytes.map(|bytes| Self(bytes.into())).ok_or_else(|| D::Error::custom("the specification is not hexadecimal"))
+    }
 }
 
 /// AIP-216.
@@ -120,7 +141,7 @@ impl Record {
             writes,
             request_id,
             asked,
-            spec: spec.iter().map(|b| format!("{b:02x}")).collect(),
+            spec: Spec(spec.into()),
             state: State::Pending,
             created_millis: now_millis(),
             started_millis: None,
@@ -129,11 +150,6 @@ impl Record {
             failure: None,
             outcome: None,
         }
-    }
-
-    /// What to do (protobuf).
-    pub fn spec(&self) -> Vec<u8> {
-        decode_hex(&self.spec).expect("a record's specification was checked when it was read")
     }
 
     /// "job-000007".
@@ -236,7 +252,6 @@ fn read_record(path: &Path) -> Result<Record, String> {
     if record.format != FORMAT {
         return Err(format!("format {}, this program reads {FORMAT}", record.format));
     }
-    decode_hex(&record.spec).ok_or("the specification is not hexadecimal")?;
     match path.file_stem().and_then(|s| s.to_str()) == Some(&record.name()) {
         true => Ok(record),
         false => Err("the file's name is not the job's".into()),
@@ -268,7 +283,7 @@ mod tests {
             .unwrap();
         fs::write(folder.path().join("jobs/job-000004.tmp"), b"{").unwrap();
         assert_eq!(records.read_all().unwrap(), [first.clone(), second]);
-        assert_eq!(first.spec(), [0, 0xab, 0xff]);
+        assert_eq!(records.read_all().unwrap()[0].spec.0[..], [0, 0xab, 0xff]);
         assert!(folder.path().join("jobs/job-000003.damaged").exists());
         assert!(!folder.path().join("jobs/job-000004.tmp").exists());
     }

@@ -190,3 +190,14 @@ fn watchers_see_progress_with_rising_sequence() {
     assert!(wait_for_end(&f.jobs, "job-000001").sequence > seen.sequence);
     f.jobs.stop();
 }
+
+#[test]
+fn waiting_specifications_are_bounded_in_bytes() {
+    let folder = tempfile::tempdir().unwrap();
+    let f = start(folder.path());
+    let large = |dataset: &str| Submission { spec: vec![0; SPECS_WAITING_BYTES / 2], ..capture(dataset, "") };
+    f.jobs.submit(large("a")).unwrap();
+    f.jobs.submit(large("b")).unwrap();
+    assert_eq!(f.jobs.submit(large("c")).unwrap_err().reason(), Reason::JobQueueFull);
+    f.jobs.stop();
+}

@@ -12,6 +12,8 @@ use crate::errors::ApiError;
 use crate::jobs::{JobView, Outcome, State};
 
 const MAX_SETTINGS: usize = 64;
+/// Jobs are remembered, so their specifications are held smaller than a request may be.
+const MAX_SPEC_BYTES: usize = 2 << 20;
 const MAX_REQUEST_ID_BYTES: usize = 64;
 
 /// What a job is to do, checked.
@@ -168,7 +170,12 @@ impl JobSpec {
 /// A checked specification; field paths begin with "spec".
 pub fn job_spec(message: Option<proto::JobSpec>, limits: &SpecLimits) -> Result<JobSpec, ApiError> {
     use proto::job_spec::Spec;
-    Ok(match required(required(message, "spec")?.spec, "spec.spec")? {
+    let message = required(message, "spec")?;
+    let bytes = message.encoded_len();
+    if bytes > MAX_SPEC_BYTES {
+        return Err(ApiError::field("spec", format!("{bytes} bytes, at most {MAX_SPEC_BYTES} expected")));
+    }
+    Ok(match required(message.spec, "spec.spec")? {
         Spec::Capture(m) => JobSpec::Capture(capture(m, "spec.capture")?),
         Spec::Evaluate(m) => JobSpec::Evaluate(evaluate(m, limits, "spec.evaluate")?),
         Spec::PathRender(m) => JobSpec::PathRender(path_render(m, limits, "spec.path_render")?),
@@ -327,12 +334,12 @@ fn or_default(value: f32, default: f32, least: f32, greatest: f32, field: &str) 
     if value == 0.0 { Ok(default) } else { within(value, least, greatest, field) }
 }
 
-/// A job, for its owner.
+/// A job, whole.
 pub fn job(view: &JobView) -> Result<proto::Job, ApiError> {
     let failure = view.failure.clone();
     Ok(proto::Job {
         name: view.name(),
-        spec: Some(recalled(&view.spec())?),
+        spec: Some(recalled(&view.spec.0)?),
         state: state_number(view.state),
         create_time: Some(timestamp(view.created_millis)),
         start_time: view.started_millis.map(timestamp),
@@ -346,7 +353,32 @@ pub fn job(view: &JobView) -> Result<proto::Job, ApiError> {
 
 /// A job at some moment, for its watchers.
 pub fn job_event(view: &JobView) -> Result<proto::JobEvent, ApiError> {
-    Ok(proto::JobEvent { sequence: view.sequence, job: Some(job(view)?), time: Some(timestamp(view.at_millis)) })
+    Ok(proto::JobEvent { sequence: view.sequence, job: Some(listed_job(view)?), time: Some(timestamp(view.at_millis)) })
+}
+
+/// A job without what may be long in its specification: the cameras and files that were given one by one.
+pub fn listed_job(view: &JobView) -> Result<proto::Job, ApiError> {
+    use proto::{evaluate_spec, job_spec::Spec, path_render_spec, scene_source::Source};
+    let mut job = job(view)?;
+    match job.spec.as_mut().and_then(|s| s.spec.as_mut()) {
+        Some(Spec::Capture(m)) => {
+            if let Some(Source::Bundle(bundle)) = m.scene.as_mut().and_then(|s| s.source.as_mut()) {
+                bundle.files.clear();
+            }
+        }
+        Some(Spec::Evaluate(m)) => {
+            if let Some(evaluate_spec::Views::Cameras(list)) = &mut m.views {
+                list.cameras.clear();
+            }
+        }
+        Some(Spec::PathRender(m)) => {
+            if let Some(path_render_spec::Views::Cameras(list)) = &mut m.views {
+                list.cameras.clear();
+            }
+        }
+        None => {}
+    }
+    Ok(job)
 }
 
 fn progress(view: &JobView) -> proto::JobProgress {

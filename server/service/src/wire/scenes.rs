@@ -142,7 +142,7 @@ mod tests {
     #[test]
     fn paths_cannot_leave_the_bundle() {
         assert!(bundle("scene.json", &["scene.json", "textures/wood.png"]).is_ok());
-        for bad in ["", "/a", "../x", "a/../../x", "a//b", "./a", "a/.", "C:\\x", "a\\b", "a\0b", &"a".repeat(256)] {
+        for bad in ["", "/a", "../x", "a/../../x", "a//b", "./a", "a/.", "a:b", "a\\b", "a\0b", &"a".repeat(256)] {
             let error = bundle("scene.json", &["scene.json", bad]).unwrap_err();
             assert!(error.to_string().starts_with("scene.bundle.files[1].path"), "{bad}: {error}");
         }

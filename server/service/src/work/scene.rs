@@ -3,9 +3,10 @@
 use std::collections::BTreeMap;
 
 use lumisphere::scenes::{
-    BUILTIN_SCENE_PATH, BuiltinOptions, EnvironmentFile, FileError, LoadOptions, Scene, SceneFiles, builtin_files, load, normalised,
+    BUILTIN_SCENE_PATH, BuiltinOptions, DEFAULT_FILE_LIMIT_BYTES, EnvironmentFile, FileError, LoadOptions, Scene, SceneFiles,
+    builtin_files, load, normalised,
 };
-use lumisphere::textures::{ContentHash, Store};
+use lumisphere::textures::{ContentHash, Store, StoreError};
 
 use crate::errors::{ApiError, Reason};
 use crate::wire::clipped;
@@ -21,14 +22,23 @@ impl SceneFiles for BundleInStore<'_> {
     fn read(&self, path: &str) -> Result<Vec<u8>, FileError> {
         let path = normalised(path)?;
         let hash = self.files.get(path.as_str()).ok_or_else(|| FileError::Missing { path: path.clone() })?;
-        self.store.read_blob(hash).map_err(|error| FileError::Io { path, source: std::io::Error::other(error) })
+        read_bounded(self.store, hash, &path)
+    }
+}
+
+/// A blob whole, but not one that would fill the memory.
+fn read_bounded(store: &Store, hash: &ContentHash, path: &str) -> Result<Vec<u8>, FileError> {
+    let failed = |error: StoreError| FileError::Io { path: path.into(), source: std::io::Error::other(error) };
+    match store.blob_bytes(hash).map_err(failed)? > DEFAULT_FILE_LIMIT_BYTES {
+        true => Err(FileError::TooLarge { path: path.into(), limit_bytes: DEFAULT_FILE_LIMIT_BYTES }),
+        false => store.read_blob(hash).map_err(failed),
     }
 }
 
 /// Reads the scene, with its other environment if there is one.
 pub fn load_scene(source: &SceneSource, store: &Store) -> Result<Scene, ApiError> {
     let environment = source.environment.as_ref().map(|e| {
-        let bytes = store.read_blob(&e.content)?;
+        let bytes = read_bounded(store, &e.content, &e.file_name).map_err(|e| ApiError::new(Reason::SceneInvalid, e.to_string()))?;
         Ok::<_, ApiError>(EnvironmentFile { name: e.file_name.clone(), bytes, scale: e.scale, rotation_deg: e.rotation_deg })
     });
     let options = LoadOptions { environment: environment.transpose()? };
