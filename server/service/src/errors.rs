@@ -153,6 +153,7 @@ impl From<RenderError> for ApiError {
             RenderError::Store(error) => error.into(),
             RenderError::PageShape { .. } => Self::new(Reason::DataCorrupt, error.to_string()),
             RenderError::NoGpu => Self::field("settings.backend", error),
+            RenderError::Gpu(_) => Self::new(Reason::GpuUnavailable, error.to_string()),
         }
     }
 }

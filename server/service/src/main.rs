@@ -148,13 +148,17 @@ fn start_rendering(config: &Config) -> anyhow::Result<(RenderQueue<Renderer>, Op
     Ok((queue, adapter))
 }
 
-fn make_renderer(choice: BackendChoice, _gpu_cache_bytes: u64) -> anyhow::Result<Renderer> {
+fn make_renderer(choice: BackendChoice, gpu_cache_bytes: u64) -> anyhow::Result<Renderer> {
     match choice {
-        BackendChoice::Auto | BackendChoice::Cpu => Ok(Renderer::cpu_only()),
-        BackendChoice::Gpu => anyhow::bail!("backend = \"gpu\", but this build renders on the CPU only"),
+        BackendChoice::Cpu => Ok(Renderer::cpu_only()),
+        BackendChoice::Gpu => Renderer::with_gpu(gpu_cache_bytes).context("backend = \"gpu\""),
+        BackendChoice::Auto => Ok(Renderer::with_gpu(gpu_cache_bytes).unwrap_or_else(|reason| {
+            tracing::warn!(%reason, "no GPU");
+            Renderer::cpu_only()
+        })),
     }
 }
 
 fn adapter_of(renderer: &Renderer) -> Option<Adapter> {
-    renderer.adapter().map(|name| Adapter { name: name.into(), driver: String::new() })
+    renderer.adapter().map(|name| Adapter { name: name.into(), driver: renderer.driver().unwrap_or_default().into() })
 }

@@ -1,1 +1,22 @@
-//! (empty so far)
+//! The graphics device: opening it, building kernels, an atlas of pages in its memory, reading results back. Knows no light.
+//!
+//! Any Vulkan, Metal or DX12 adapter will do, software ones (lavapipe) included; no window is needed. All of it blocks: one frame at
+//! a time is in flight, and whoever asks for it waits.
+//!
+//! WGSL lives beside its Rust twin; `concat!(include_str!(…), …)` is the import system, `override` constants are the preprocessor.
+
+mod atlas;
+mod device;
+mod error;
+mod kernel;
+#[cfg(test)]
+pub(crate) mod layout_check;
+mod readback;
+
+pub(crate) use atlas::{Atlas, AtlasShape, conform};
+pub use device::Gpu;
+#[cfg(test)]
+pub(crate) use device::test_gpu;
+pub use error::GpuError;
+pub(crate) use kernel::{Shader, binding, storage_buffer, uniform_buffer};
+pub(crate) use readback::ReadBack;

@@ -13,6 +13,8 @@ use std::sync::Arc;
 use thiserror::Error;
 
 use crate::geometry::Camera;
+#[cfg(feature = "gpu")]
+use crate::gpu::{Gpu, GpuError};
 use crate::textures::StoreError;
 use offset_surface_light_field as oslf;
 
@@ -78,12 +80,41 @@ pub trait Representation: std::fmt::Debug + Send + Sync {
 
     /// The readable reference.
     fn cpu_kernel(self: Arc<Self>) -> Box<dyn CpuKernel>;
+
+    /// Its twin, with everything but the pages uploaded, taking at most `budget_bytes` of the device's memory at any time.
+    #[cfg(feature = "gpu")]
+    fn gpu_kernel(self: Arc<Self>, gpu: &Arc<Gpu>, budget_bytes: u64) -> Result<Box<dyn GpuKernel>, GpuError>;
 }
 
 /// Renders frames of one dataset on the CPU.
 pub trait CpuKernel: Send + Sync {
     /// One frame; blocks.
     fn render(&self, request: &FrameRequest<'_>, pages: &CountingSource<'_>) -> Result<Pixels, RenderError>;
+}
+
+/// Renders frames of one dataset on the GPU.
+#[cfg(feature = "gpu")]
+pub trait GpuKernel: Send {
+    /// One frame; blocks. `RenderError::Gpu` means that the CPU might still do it.
+    fn render(&mut self, request: &FrameRequest<'_>, pages: &CountingSource<'_>) -> Result<(Pixels, GpuFrameStats), RenderError>;
+
+    /// Held on the device.
+    fn bytes(&self) -> u64;
+}
+
+/// What the GPU did for a frame.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct GpuFrameStats {
+    /// Pages that were not on the device.
+    pub pages_uploaded: usize,
+    /// Shading passes: 1 when every page was there.
+    pub passes: u32,
+    /// Fetching and uploading pages.
+    pub pages_millis: f64,
+    /// From the first command to the last pixel in the device's memory.
+    pub gpu_millis: f64,
+    /// From there into ours.
+    pub read_back_millis: f64,
 }
 
 /// What to show of a representation, seen from where.
@@ -139,7 +170,17 @@ pub enum RenderError {
         /// Texels along an edge.
         expected: u32,
     },
+    /// The GPU was asked for and cannot, or there is none.
+    #[cfg(feature = "gpu")]
+    #[error(transparent)]
+    Gpu(#[from] GpuError),
     /// The GPU was asked for where there is none.
     #[error("no GPU is in use")]
     NoGpu,
+}
+
+/// Every whole WGSL source of this room, for the test that validates them.
+#[cfg(all(test, feature = "gpu"))]
+pub(crate) fn wgsl_sources() -> &'static [&'static str] {
+    &[g_buffer::G_BUFFER_SOURCE, oslf::KERNEL_SOURCE]
 }

@@ -8,6 +8,8 @@
 //! Background: `L = emission (front only) + albedo / π · E`, E the irradiance baked at the vertices on the side that is seen. Textures
 //! are read trilinearly from a pyramid in f16, the level chosen from the pixel's size on the surface (distance × pixel angle ÷ √cos).
 
+#[cfg(feature = "gpu")]
+mod rasterize;
 mod texture_pyramid;
 mod trace;
 
@@ -18,6 +20,10 @@ use crate::capture::Background;
 use crate::geometry::{Camera, TriangleMesh};
 use crate::scenes::{Albedo, Environment};
 
+#[cfg(all(test, feature = "gpu"))]
+pub(crate) use rasterize::SOURCE as G_BUFFER_SOURCE;
+#[cfg(feature = "gpu")]
+pub(crate) use rasterize::{G_BUFFER_BYTES_PER_PIXEL, GBufferTargets, Rasterizer};
 pub(crate) use texture_pyramid::TexturePyramids;
 pub(crate) use trace::GBufferTracer;
 
@@ -238,6 +244,39 @@ pub(crate) fn pixel_angle(camera: &Camera) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[cfg(feature = "gpu")]
+    #[test]
+    fn structs_lie_in_memory_as_wgsl_has_them() {
+        use crate::gpu::layout_check::assert_same_layout;
+        use rasterize::CameraUniform;
+        assert_same_layout!(
+            G_BUFFER_SOURCE,
+            "Camera",
+            CameraUniform {
+                position,
+                near,
+                right,
+                focal_x,
+                up,
+                focal_y,
+                backward,
+                pixel_angle,
+                center,
+                size,
+                first_row,
+                environment_cos,
+                environment_sin,
+                infinity
+            }
+        );
+        assert_same_layout!(
+            G_BUFFER_SOURCE,
+            "Material",
+            Material { albedo, first_level, emission, level_count, texels_per_length, unknown, padding }
+        );
+        assert_same_layout!(G_BUFFER_SOURCE, "Level", texture_pyramid::Level { first_texel, width, height, padding });
+    }
 
     #[test]
     fn codes_name_what_was_seen_for_every_part() {

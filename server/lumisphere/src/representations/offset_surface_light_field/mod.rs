@@ -13,6 +13,8 @@
 //! Source: the methods page "Offset surface light field" and the paper behind it.
 
 mod construct;
+#[cfg(feature = "gpu")]
+mod kernel;
 mod reference;
 mod sample_points;
 mod shade;
@@ -27,10 +29,16 @@ use serde::{Deserialize, Serialize};
 
 use crate::capture::Background;
 use crate::geometry::TriangleMesh;
+#[cfg(feature = "gpu")]
+use crate::gpu::{Gpu, GpuError};
+#[cfg(feature = "gpu")]
+use crate::representations::GpuKernel;
 use crate::representations::{CpuKernel, Kind, RenderError, Representation};
 use crate::textures::Page;
 
 pub use construct::{ConstructError, ConstructSettings, construct};
+#[cfg(all(test, feature = "gpu"))]
+pub(crate) use kernel::SOURCE as KERNEL_SOURCE;
 pub use sample_points::{PlacementError, Spacing, build_sample_maps, place_sample_points};
 pub use storage::{PartsError, from_parts, to_parts};
 
@@ -215,6 +223,11 @@ impl Representation for OffsetSurfaceLightField {
 
     fn cpu_kernel(self: Arc<Self>) -> Box<dyn CpuKernel> {
         Box::new(reference::Reference::new(self))
+    }
+
+    #[cfg(feature = "gpu")]
+    fn gpu_kernel(self: Arc<Self>, gpu: &Arc<Gpu>, budget_bytes: u64) -> Result<Box<dyn GpuKernel>, GpuError> {
+        Ok(Box::new(kernel::Kernel::new(gpu.clone(), self, budget_bytes)?))
     }
 }
 

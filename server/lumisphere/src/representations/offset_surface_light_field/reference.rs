@@ -28,6 +28,14 @@ impl Reference {
         Self { tracer: GBufferTracer::new(geometry), field }
     }
 
+    /// What every pixel sees.
+    #[cfg(all(test, feature = "gpu"))]
+    pub fn g_buffer(&self, camera: &Camera) -> Vec<GBufferPixel> {
+        let (width, height) = (camera.intrinsics().width_px, camera.intrinsics().height_px);
+        let mut stack = Stack::new();
+        (0..width * height).map(|at| self.tracer.pixel(camera, at % width, at / width, &mut stack)).collect()
+    }
+
     /// The finished pixel (i, j) of a G-buffer from either twin.
     pub fn shade(
         &self,

@@ -203,7 +203,7 @@ pub(super) fn logarithm(x: f32) -> f32 {
     let z = f * f;
     let mut y = 7.037_683_6e-2;
     for c in
-        [-1.151_461e-1, 1.167_699_8e-1, -1.242_014_1e-1, 1.424_932_3e-1, -1.666_805_7e-1, 2.000_071_5e-1, -2.499_999_4e-1, 3.333_333_1e-1]
+        [-1.151_461e-1, 1.167_699_8e-1, -1.242_014_1e-1, 1.424_932_3e-1, -1.666_805_7e-1, 2.000_071_5e-1, -2.499_999_4e-1, 3.333_333e-1]
     {
         y = y * f + c;
     }
@@ -212,7 +212,7 @@ pub(super) fn logarithm(x: f32) -> f32 {
 }
 
 // ln 2 in two pieces: the first has so few bits that its product with a small integer is exact.
-const LN_2_HIGH: f32 = 0.693_359_375;
+const LN_2_HIGH: f32 = 0.693_359_4;
 const LN_2_LOW: f32 = -2.121_944_4e-4;
 
 /// eˣ for x ≤ 0: relative error below 10⁻⁶; 0 below −87.

@@ -1,6 +1,8 @@
 //! What must hold of frames of this kind on the CPU. `tests/gpu_equals_cpu.rs` carries it over to the GPU.
 
 pub(crate) mod fixture;
+#[cfg(feature = "gpu")]
+mod gpu_equals_cpu;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

@@ -1,0 +1,137 @@
+//! A 640 × 480 frame of the captured teapot in the gazebo, on the GPU (lavapipe where there is no other) and on the CPU: medians, in
+//! milliseconds, by stage.
+//!
+//! `cargo bench -p lumisphere --bench render_frame [-- FACE_SIZE [POINTS]]`, by default 128 texels and 300 points. The capture (one
+//! path a texel: noise costs no time) is kept in `target/render_frame` for the next run.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use glam::Vec3;
+use lumisphere::geometry::{Camera, Intrinsics, Pose};
+use lumisphere::progress::Unattended;
+use lumisphere::render::{Backend, Frame, FrameRequest, Outputs, Renderer, Representation, Settings};
+use lumisphere::representations::CachedPages;
+use lumisphere::representations::offset_surface_light_field::{
+    Blend, Component, ConstructSettings, OffsetSurfaceLightField, PartsError, Settings as OslfSettings, Spacing, construct, from_parts,
+};
+use lumisphere::scenes::{BuiltinOptions, builtin};
+use lumisphere::textures::{Cache, DatasetVersion, PixelFormat, Publication, Store, StoreOptions};
+
+const RUNS: usize = 15;
+const GPU_BUDGET_BYTES: u64 = 1 << 30;
+
+fn main() {
+    let mut numbers = std::env::args().skip(1).filter_map(|a| a.parse::<u32>().ok());
+    let (face_size, points) = (numbers.next().unwrap_or(128), numbers.next().unwrap_or(300));
+    let version = captured(face_size, points);
+    let parameters = serde_json::from_value(version.manifest().parameters.clone()).expect("our own parameters");
+    let field: OffsetSurfaceLightField =
+        from_parts::<PartsError>(parameters, &|name| Ok(version.blob(name).expect("a part"))).expect("our own parts");
+    let (low, high) = field.surface.mesh.bounds();
+    let (center, radius) = (0.5 * (low + high), 0.5 * (high - low).length());
+    let triangles: usize = field.background.surfaces.iter().map(|s| s.mesh.triangles.len()).sum();
+    println!("{face_size}² faces, {} points, {} + {triangles} triangles", field.sample_points.len(), field.surface.mesh.triangles.len());
+    let field: Arc<dyn Representation> = Arc::new(field);
+    let pages = CachedPages { cache: Arc::new(Cache::new(4 << 30)), version };
+    let renderer = Renderer::with_gpu(GPU_BUDGET_BYTES).unwrap_or_else(|e| {
+        println!("{e}: CPU only");
+        Renderer::cpu_only()
+    });
+    println!("adapter: {}", renderer.adapter().unwrap_or("none"));
+    let cameras: Vec<Camera> = (0..RUNS).map(|k| orbit(center, radius, k)).collect();
+    println!("component      blend            backend   first  median    95 %  pages  (median: gpu, read back)");
+    for (component, blend) in [
+        (Component::Reconstruction, Blend::Distance),
+        (Component::Mirror, Blend::EnvironmentMap),
+        (Component::Mirror, Blend::Distance),
+        (Component::Mirror, Blend::Angle),
+        (Component::Mirror, Blend::Average),
+        (Component::Mirror, Blend::Reflection { exponent: 4.0 }),
+        (Component::Mirror, Blend::Normal { exponent: 4.0 }),
+        (Component::Full, Blend::Normal { exponent: 4.0 }),
+    ] {
+        let settings = Settings::OffsetSurfaceLightField(OslfSettings { component, blend, specular_reflectance: Vec3::ONE });
+        for backend in [Backend::Gpu, Backend::Cpu] {
+            if backend == Backend::Cpu || renderer.adapter().is_some() {
+                let render = |camera: &Camera| {
+                    let request = FrameRequest { camera, settings: &settings, outputs: Outputs { depth: false, provenance: false } };
+                    renderer.render(&field, &pages, &request, Some(backend)).expect("a frame")
+                };
+                report(component, blend, &cameras, render);
+            }
+        }
+    }
+}
+
+// Every pose once to bring the pages, then once more for the clock.
+fn report(component: Component, blend: Blend, cameras: &[Camera], render: impl Fn(&Camera) -> Frame) {
+    let first: Vec<Frame> = cameras.iter().map(&render).collect();
+    let frames: Vec<Frame> = cameras.iter().map(&render).collect();
+    let sorted = |of: &dyn Fn(&Frame) -> f64| {
+        let mut millis: Vec<f64> = frames.iter().map(of).collect();
+        millis.sort_by(f64::total_cmp);
+        millis
+    };
+    let total = sorted(&|f| f.stats.total_millis);
+    let stages = frames[0].stats.gpu.map(|_| {
+        let gpu = sorted(&|f| f.stats.gpu.map_or(0.0, |g| g.gpu_millis));
+        let read_back = sorted(&|f| f.stats.gpu.map_or(0.0, |g| g.read_back_millis));
+        format!("{:6.1} {:5.1}", gpu[RUNS / 2], read_back[RUNS / 2])
+    });
+    let backend = frames[0].stats.fallback.clone().unwrap_or(format!("{:?}", frames[0].stats.backend));
+    println!(
+        "{:<14} {:<16} {backend:<6} {:>8.1}{:>8.1}{:>8.1}  {:>5}  {}",
+        format!("{component:?}"),
+        format!("{blend:?}").split_whitespace().next().unwrap_or_default(),
+        first[0].stats.total_millis,
+        total[RUNS / 2],
+        total[RUNS * 95 / 100],
+        frames[RUNS / 2].pixels.pages_needed,
+        stages.unwrap_or_default(),
+    );
+}
+
+// The teapot fills about half of the image's height.
+fn orbit(center: Vec3, radius: f32, k: usize) -> Camera {
+    let angle = std::f32::consts::TAU * k as f32 / RUNS as f32;
+    let origin = center + 3.2 * radius * Vec3::new(angle.cos(), 0.45, angle.sin());
+    let pose = Pose::look_at(origin, center, Vec3::Y).expect("distinct points");
+    Camera::new(Intrinsics::from_vfov(45.0, 640, 480).expect("a sensible angle"), pose).expect("a camera")
+}
+
+// The teapot's capture, made on the first run.
+fn captured(face_size: u32, points: u32) -> Arc<DatasetVersion> {
+    let root = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../target/render_frame");
+    std::fs::create_dir_all(&root).expect("a folder under target");
+    let (store, _) = Store::open(&root, StoreOptions::local()).expect("a store");
+    let dataset = format!("teapot-{face_size}-{points}");
+    if let Ok(version) = store.open_version(&dataset, None) {
+        return version;
+    }
+    println!("capturing, once");
+    let scene = builtin("gazebo", &BuiltinOptions::full()).expect("it ships with us");
+    let settings = ConstructSettings {
+        object: "teapot".into(),
+        epsilon: None,
+        spacing: Spacing::Count(points),
+        face_size_texels: face_size,
+        sample_map_size_texels: 256,
+        pixel_format: PixelFormat::F16,
+        samples_per_texel: 1,
+        max_bounces: 1,
+        seed: 1,
+    };
+    // An earlier run may have been killed between the two.
+    drop(store.create_dataset(&dataset));
+    let staging = store.stage(&dataset, "bench").expect("nobody else writes it");
+    let parameters = construct(&scene, &settings, &staging, &Unattended).expect("a capture");
+    let publication = Publication {
+        kind: "offset_surface_light_field".into(),
+        parameters: serde_json::to_value(&parameters).expect("plain numbers"),
+        inputs: Default::default(),
+        code_version: env!("CARGO_PKG_VERSION").into(),
+        created_unix_millis: 0,
+    };
+    staging.publish(publication).expect("room on the disk")
+}

@@ -1,0 +1,30 @@
+// Texels of pages through the indirection buffer: atlas.rs has the words' layout. Expects `indirection`, `touched`, `shading.stamp`
+// and `shading.face_size` from the kernel that includes it.
+
+// How many textures hold slots: the others are never read.
+override ATLAS_TEXTURES: u32 = 4u;
+
+const NOT_RESIDENT: u32 = 0xffffffffu;
+
+@group(1) @binding(0) var atlas_0: texture_2d_array<f32>;
+@group(1) @binding(1) var atlas_1: texture_2d_array<f32>;
+@group(1) @binding(2) var atlas_2: texture_2d_array<f32>;
+@group(1) @binding(3) var atlas_3: texture_2d_array<f32>;
+
+// Texel (column, row) of a page; zero where the page is not resident. Leaves word that the page was wanted.
+fn page_texel(page: u32, column: u32, row: u32) -> vec3<f32> {
+    let word = indirection[page];
+    atomicStore(&touched[page], shading.stamp);
+    if word == NOT_RESIDENT {
+        return vec3(0.0);
+    }
+    let at = vec2((word & 0xffu) * shading.face_size + column, ((word >> 8u) & 0xffu) * shading.face_size + row);
+    let layer = (word >> 16u) & 0x1fffu;
+    if ATLAS_TEXTURES > 1u {
+        let texture = (word >> 29u) & 3u;
+        if texture == 1u { return textureLoad(atlas_1, at, layer, 0).rgb; }
+        if texture == 2u { return textureLoad(atlas_2, at, layer, 0).rgb; }
+        if texture == 3u { return textureLoad(atlas_3, at, layer, 0).rgb; }
+    }
+    return textureLoad(atlas_0, at, layer, 0).rgb;
+}

@@ -1,0 +1,92 @@
+//! Opening the adapter.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use super::GpuError;
+
+/// An open graphics device and its queue.
+#[derive(Debug)]
+pub struct Gpu {
+    device: wgpu::Device,
+    queue: wgpu::Queue,
+    adapter: String,
+    driver: String,
+    // First failure that no call has reported yet.
+    failure: Arc<Mutex<Option<String>>>,
+}
+
+impl Gpu {
+    /// The most capable adapter, with all the limits it offers.
+    pub fn new() -> Result<Self, GpuError> {
+        let mut description = wgpu::InstanceDescriptor::new_without_display_handle();
+        // Our one indirect dispatch takes a count that our own kernel bounds; checking it again would cost a dispatch a frame.
+        description.flags = wgpu::InstanceFlags::from_build_config() - wgpu::InstanceFlags::VALIDATION_INDIRECT_CALL;
+        let instance = wgpu::Instance::new(description);
+        let options = wgpu::RequestAdapterOptions { power_preference: wgpu::PowerPreference::HighPerformance, ..Default::default() };
+        let adapter = pollster::block_on(instance.request_adapter(&options)).map_err(|e| GpuError::NoAdapter { reason: e.to_string() })?;
+        let wanted = wgpu::DeviceDescriptor { label: Some("lumisphere"), required_limits: adapter.limits(), ..Default::default() };
+        let opened = pollster::block_on(adapter.request_device(&wanted));
+        let (device, queue) = opened.map_err(|e| GpuError::Failed { reason: e.to_string() })?;
+        let failure = Arc::new(Mutex::new(None));
+        let (errors, losses) = (failure.clone(), failure.clone());
+        device.on_uncaptured_error(Arc::new(move |e: wgpu::Error| note(&errors, e.to_string())));
+        device.set_device_lost_callback(move |reason, message| note(&losses, format!("device lost ({reason:?}): {message}")));
+        let info = adapter.get_info();
+        let driver = format!("{} {}, {:?}", info.driver, info.driver_info, info.backend);
+        Ok(Self { device, queue, adapter: info.name, driver, failure })
+    }
+
+    /// The adapter's name, as its driver gives it.
+    pub fn adapter(&self) -> &str {
+        &self.adapter
+    }
+
+    /// The driver's name and version, and the interface it is used through.
+    pub fn driver(&self) -> &str {
+        &self.driver
+    }
+
+    pub(crate) fn device(&self) -> &wgpu::Device {
+        &self.device
+    }
+
+    pub(crate) fn queue(&self) -> &wgpu::Queue {
+        &self.queue
+    }
+
+    /// Waits until everything submitted is done.
+    pub(crate) fn wait(&self) -> Result<(), GpuError> {
+        self.device.poll(wgpu::PollType::wait_indefinitely()).map_err(|e| GpuError::Failed { reason: e.to_string() })?;
+        self.check()
+    }
+
+    /// The first failure since the last check, if any.
+    pub(crate) fn check(&self) -> Result<(), GpuError> {
+        let failure = self.failure.lock().unwrap_or_else(PoisonError::into_inner).take();
+        failure.map_or(Ok(()), |reason| Err(GpuError::Failed { reason }))
+    }
+
+    /// Errors when a binding of that many bytes is more than the adapter allows.
+    pub(crate) fn check_binding(&self, what: &'static str, bytes: u64) -> Result<(), GpuError> {
+        let limits = self.device.limits();
+        let limit = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
+        if bytes > limit { Err(GpuError::BeyondLimit { what, needed: bytes, limit }) } else { Ok(()) }
+    }
+}
+
+// The first cause explains the others.
+fn note(failure: &Mutex<Option<String>>, reason: String) {
+    failure.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(reason);
+}
+
+/// A device for tests; None where there is none, which `REQUIRE_GPU=1` forbids.
+#[cfg(test)]
+pub(crate) fn test_gpu() -> Option<Arc<Gpu>> {
+    match Gpu::new() {
+        Ok(gpu) => Some(Arc::new(gpu)),
+        Err(e) => {
+            assert!(std::env::var_os("REQUIRE_GPU").is_none_or(|v| v != "1"), "{e}, and REQUIRE_GPU=1");
+            None
+        }
+    }
+}

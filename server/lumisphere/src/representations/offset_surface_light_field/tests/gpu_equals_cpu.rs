@@ -1,0 +1,312 @@
+//! The kernel against its reference. Shading is compared on the GPU's own G-buffer, element by element; the two G-buffers are compared
+//! apart, because a rasteriser snaps vertices to 1/256 of a pixel and so decides some silhouette pixels otherwise than a ray does.
+
+use std::sync::Arc;
+
+use glam::Vec3;
+
+use super::super::kernel::{Kernel, ShadingUniform};
+use super::super::reference::{PagedCubes, PagesTouched, Reference};
+use super::fixture::{MemoryPages, WORLD, World, starve};
+use super::{BLENDS, EVERYTHING, odd_cameras, settings};
+use crate::geometry::Camera;
+use crate::gpu::layout_check::assert_same_layout;
+use crate::gpu::{GpuError, test_gpu};
+use crate::images::{Tolerance, count_beyond};
+use crate::render::{Backend, RenderError, Renderer};
+use crate::representations::g_buffer::{GBufferPixel, Seen};
+use crate::representations::offset_surface_light_field::{Blend, Component, OffsetSurfaceLightField, Settings};
+use crate::representations::{
+    Answer, CountingSource, FrameRequest, GpuFrameStats, GpuKernel, Outputs, Pixels, Provenance, RenderError as Error, Representation,
+    Settings as AnySettings,
+};
+use crate::textures::PixelFormat;
+
+const BUDGET: u64 = 256 << 20;
+const COMPONENTS: [Component; 3] = [Component::Reconstruction, Component::Mirror, Component::Full];
+
+struct Twins {
+    kernel: Kernel,
+    reference: Reference,
+    field: Arc<OffsetSurfaceLightField>,
+    pages: MemoryPages,
+}
+
+impl Twins {
+    // None without a GPU, which REQUIRE_GPU=1 turns into a failure.
+    fn new((field, pages): (OffsetSurfaceLightField, MemoryPages), budget_bytes: u64) -> Option<Self> {
+        let gpu = test_gpu()?;
+        let field = Arc::new(field);
+        let kernel = Kernel::new(gpu, field.clone(), budget_bytes).unwrap();
+        Some(Self { kernel, reference: Reference::new(field.clone()), field, pages })
+    }
+
+    fn on_gpu(&mut self, camera: &Camera, settings: Settings) -> Result<(Pixels, GpuFrameStats), Error> {
+        let settings = AnySettings::OffsetSurfaceLightField(settings);
+        let request = FrameRequest { camera, settings: &settings, outputs: EVERYTHING };
+        self.kernel.render(&request, &CountingSource::new(&self.pages))
+    }
+
+    // The reference's shading of a G-buffer, whoever made it.
+    fn shaded(&self, camera: &Camera, settings: Settings, g_buffer: &[GBufferPixel]) -> (Vec<f32>, Vec<Provenance>) {
+        let source = CountingSource::new(&self.pages);
+        let touched = PagesTouched::new(self.field.page_count());
+        let mut cubes = PagedCubes::new(self.field.parameters.face_size_texels, &source, &touched);
+        let width = camera.intrinsics().width_px;
+        let mut pixels = (Vec::new(), Vec::new());
+        for (at, pixel) in g_buffer.iter().enumerate() {
+            let (i, j) = (at as u32 % width, at as u32 / width);
+            let result = self.reference.shade(&settings, camera, (i, j), pixel, &mut cubes).unwrap();
+            pixels.0.extend(result.radiance.to_array());
+            pixels.1.push(result.provenance);
+        }
+        pixels
+    }
+}
+
+// Where both name the same sample, colours must agree within `tolerance`; at most `ties` pixels may name another.
+fn agree(ours: (&[f32], &[Provenance]), theirs: (&[f32], &[Provenance]), tolerance: &Tolerance, ties: usize) -> Result<(), String> {
+    let mut other_sample = 0;
+    for (at, (a, b)) in ours.1.iter().zip(theirs.1).enumerate() {
+        if a != b {
+            other_sample += 1;
+            continue;
+        }
+        let range = 3 * at..3 * at + 3;
+        let report = count_beyond(&ours.0[range.clone()], &theirs.0[range], tolerance).map_err(|e| e.to_string())?;
+        if report.beyond > 0 {
+            return Err(format!("pixel {at} from {a:?}: {report:?}"));
+        }
+    }
+    if other_sample > ties { Err(format!("{other_sample} pixels name another sample")) } else { Ok(()) }
+}
+
+const WIDTH: u32 = 80;
+const HEIGHT: u32 = 60;
+// Where two candidates tie (equal distances to the horizon, equal weights or cosines), rounding decides; 0.2 % of the pixels.
+const TIES: usize = (WIDTH * HEIGHT) as usize / 500;
+
+fn every_setting_agrees(world: &World, kept: usize) {
+    let (mut field, pages) = world.build();
+    starve(&mut field, kept);
+    let Some(mut twins) = Twins::new((field, pages), BUDGET) else { return };
+    let camera = world.camera(Vec3::new(1.2, 0.9, 2.4), Vec3::new(0.1, -0.1, 0.0), WIDTH, HEIGHT);
+    for component in COMPONENTS {
+        for blend in BLENDS {
+            let settings = settings(component, blend);
+            let (pixels, _) = twins.on_gpu(&camera, settings).unwrap();
+            let g_buffer = twins.kernel.read_g_buffer();
+            let (color, provenance) = twins.shaded(&camera, settings, &g_buffer);
+            let ours = (pixels.color.as_slice(), pixels.provenance.as_deref().unwrap());
+            agree((&color, &provenance), ours, &Tolerance::F32_LOOKUP, TIES).unwrap_or_else(|e| panic!("{settings:?}: {e}"));
+            let hits = provenance.iter().filter(|p| matches!(p.answer(), Answer::Hit | Answer::Filled)).count();
+            assert!(hits > 500, "{settings:?}: the object fills only {hits} pixels");
+        }
+    }
+}
+
+#[test]
+fn shading_agrees_on_every_setting() {
+    every_setting_agrees(&WORLD, 4);
+}
+
+#[test]
+fn shading_agrees_on_every_setting_where_samples_are_missing() {
+    every_setting_agrees(&WORLD, 1);
+    every_setting_agrees(&WORLD, 0);
+}
+
+#[test]
+fn shading_agrees_on_every_setting_for_pages_in_f32_and_odd_sizes() {
+    every_setting_agrees(&World { pixel: PixelFormat::F32, face_size: 21, ..WORLD }, 3);
+}
+
+#[test]
+fn the_comparison_notices_another_blend_and_a_shifted_image() {
+    let Some(mut twins) = Twins::new(WORLD.build(), BUDGET) else { return };
+    let camera = WORLD.camera(Vec3::new(1.2, 0.9, 2.4), Vec3::ZERO, WIDTH, HEIGHT);
+    let (average, normal) = (settings(Component::Mirror, Blend::Average), settings(Component::Mirror, Blend::Normal { exponent: 100.0 }));
+    let (pixels, _) = twins.on_gpu(&camera, average).unwrap();
+    let g_buffer = twins.kernel.read_g_buffer();
+    let ours = (pixels.color.as_slice(), pixels.provenance.as_deref().unwrap());
+    let (color, provenance) = twins.shaded(&camera, average, &g_buffer);
+    agree((&color, &provenance), ours, &Tolerance::F32_LOOKUP, TIES).unwrap();
+    let (color, provenance) = twins.shaded(&camera, normal, &g_buffer);
+    assert!(agree((&color, &provenance), ours, &Tolerance::F32_LOOKUP, TIES).is_err());
+    let mut shifted = pixels.color.clone();
+    shifted.rotate_right(3);
+    assert!(agree((&shifted, ours.1), ours, &Tolerance::F32_LOOKUP, TIES).is_err());
+}
+
+#[test]
+fn both_g_buffers_show_the_same_but_for_silhouettes() {
+    let Some(mut twins) = Twins::new(WORLD.build(), BUDGET) else { return };
+    for origin in [Vec3::new(1.2, 0.9, 2.4), Vec3::new(-2.0, 0.3, -1.0), Vec3::new(0.2, 4.0, 0.1), Vec3::new(0.0, 0.1, 0.2)] {
+        let camera = WORLD.camera(origin, Vec3::ZERO, WIDTH, HEIGHT);
+        twins.on_gpu(&camera, settings(Component::Reconstruction, Blend::Distance)).unwrap();
+        let (rasterized, traced) = (twins.kernel.read_g_buffer(), twins.reference.g_buffer(&camera));
+        let mut other = 0;
+        for (at, (ours, theirs)) in rasterized.iter().zip(&traced).enumerate() {
+            if ours.a[2] != theirs.a[2] {
+                other += 1;
+                assert!(is_at_an_edge(&traced, at), "pixel {at} from {origin}: {ours:?} where a ray finds {theirs:?}");
+                continue;
+            }
+            // uv of nothing is zero in both; interpolation over a triangle adds a few roundings of its extent.
+            let report = count_beyond(&theirs.a, &ours.a, &Tolerance::F32_LOOKUP).unwrap();
+            assert_eq!(report.beyond, 0, "pixel {at} from {origin}: {ours:?} where a ray finds {theirs:?}");
+            // A step between facets is a step between vertex pairs, not in the interpolated normal: it is continuous, as is the
+            // bilinear floor and the environment.
+            let report = count_beyond(&theirs.b, &ours.b, &Tolerance::F32_LOOKUP).unwrap();
+            assert_eq!(report.beyond, 0, "pixel {at} from {origin}: {ours:?} where a ray finds {theirs:?}");
+        }
+        // 1/256 of a pixel along outlines of a few hundred pixels.
+        assert!(other <= 20, "{other} pixels differ from {origin}");
+    }
+}
+
+// Whether a neighbour shows something else.
+fn is_at_an_edge(g_buffer: &[GBufferPixel], at: usize) -> bool {
+    let (width, height) = (WIDTH as i32, HEIGHT as i32);
+    let (i, j) = (at as i32 % width, at as i32 / width);
+    let around = (-1..=1).flat_map(|dj| (-1..=1).map(move |di| (i + di, j + dj)));
+    let inside = around.filter(|(i, j)| (0..width).contains(i) && (0..height).contains(j));
+    let mut seen = inside.map(|(i, j)| g_buffer[(j * width + i) as usize].a[2]);
+    seen.any(|code| code != g_buffer[at].a[2])
+}
+
+#[test]
+fn frames_of_several_bands_have_no_seam() {
+    let Some(mut twins) = Twins::new(WORLD.build(), BUDGET) else { return };
+    let settings = settings(Component::Full, Blend::Normal { exponent: 4.0 });
+    // 1024 × 700 pixels take two bands of 2¹⁹.
+    let camera = WORLD.camera(Vec3::new(1.2, 0.9, 2.4), Vec3::ZERO, 1024, 700);
+    let (pixels, _) = twins.on_gpu(&camera, settings).unwrap();
+    assert_eq!(pixels.color.len(), 3 * 1024 * 700);
+    let field: Arc<dyn Representation> = twins.field.clone();
+    let any = AnySettings::OffsetSurfaceLightField(settings);
+    let request = FrameRequest { camera: &camera, settings: &any, outputs: EVERYTHING };
+    let cpu = Renderer::cpu_only().render(&field, &twins.pages, &request, None).unwrap().pixels;
+    // Silhouettes and ties alone differ: some hundreds of 716 800 pixels.
+    let report = count_beyond(&cpu.color, &pixels.color, &Tolerance::F32_LOOKUP).unwrap();
+    assert!(report.beyond < 3 * 1000, "{report:?}");
+    let report = count_beyond(cpu.depth.as_ref().unwrap(), pixels.depth.as_ref().unwrap(), &Tolerance::F32_LOOKUP).unwrap();
+    assert!(report.beyond < 200, "{report:?}");
+}
+
+#[test]
+fn pages_come_once_and_stay() {
+    let Some(mut twins) = Twins::new(WORLD.build(), BUDGET) else { return };
+    let camera = WORLD.camera(Vec3::new(1.2, 0.9, 2.4), Vec3::ZERO, WIDTH, HEIGHT);
+    let mirror = settings(Component::Mirror, Blend::Average);
+    let (first, stats) = twins.on_gpu(&camera, mirror).unwrap();
+    assert_eq!((stats.passes, stats.pages_uploaded), (2, first.pages_needed));
+    let (again, stats) = twins.on_gpu(&camera, mirror).unwrap();
+    assert_eq!((stats.passes, stats.pages_uploaded), (1, 0));
+    assert_eq!(first, again);
+}
+
+#[test]
+fn a_small_atlas_gives_up_old_pages_and_shows_the_same() {
+    // Pages of 32² in f16 take 8 KiB: 486 of them nearly 4 MiB. A frame reads fewer than 200.
+    let fixed = 64 << 20;
+    let budgets = [BUDGET, fixed];
+    let mut frames: Vec<Vec<Pixels>> = Vec::new();
+    for budget in budgets {
+        let Some(mut twins) = Twins::new(WORLD.build(), budget) else { return };
+        if budget == fixed {
+            // What is left beside geometry and a band's targets holds 250 pages.
+            let left = 250 * 32 * 32 * 8 + 4 * 500;
+            twins.kernel.set_atlas_budget(left);
+        }
+        let orbit = (0..8).map(|k| std::f32::consts::TAU * k as f32 / 8.0).map(|a| Vec3::new(3.0 * a.cos(), 0.6, 3.0 * a.sin()));
+        let mirror = settings(Component::Mirror, Blend::Distance);
+        let cameras = orbit.map(|origin| WORLD.camera(origin, Vec3::ZERO, WIDTH, HEIGHT));
+        frames.push(cameras.map(|camera| twins.on_gpu(&camera, mirror).unwrap().0).collect());
+        assert!(twins.kernel.bytes() <= budget);
+    }
+    assert_eq!(frames[0], frames[1]);
+}
+
+#[test]
+fn a_frame_that_cannot_be_drawn_falls_back_to_the_cpu_and_says_why() {
+    if test_gpu().is_none() {
+        return;
+    }
+    let (field, pages) = WORLD.build();
+    let field: Arc<dyn Representation> = Arc::new(field);
+    let camera = WORLD.camera(Vec3::new(1.2, 0.9, 2.4), Vec3::ZERO, WIDTH, HEIGHT);
+    let any = AnySettings::OffsetSurfaceLightField(settings(Component::Mirror, Blend::Average));
+    let request = FrameRequest { camera: &camera, settings: &any, outputs: Outputs { depth: false, provenance: false } };
+    let small = Renderer::with_gpu(1 << 20).unwrap();
+    assert_eq!(small.default_backend(), Backend::Gpu);
+    let frame = small.render(&field, &pages, &request, None).unwrap();
+    assert_eq!(frame.stats.backend, Backend::Cpu);
+    assert!(frame.stats.fallback.unwrap().contains("bytes of graphics memory"));
+    let large = Renderer::with_gpu(BUDGET).unwrap();
+    let frame = large.render(&field, &pages, &request, None).unwrap();
+    assert_eq!((frame.stats.backend, frame.stats.fallback), (Backend::Gpu, None));
+    assert!(frame.stats.page_use.hits > 0 && large.gpu_bytes() > 0 && large.gpu_bytes() <= BUDGET);
+    assert_eq!((frame.pixels.depth, frame.pixels.provenance), (None, None));
+}
+
+#[test]
+fn too_many_pages_for_the_atlas_are_refused() {
+    let Some(mut twins) = Twins::new(WORLD.build(), BUDGET) else { return };
+    twins.kernel.set_atlas_budget(20 * 32 * 32 * 8);
+    let camera = WORLD.camera(Vec3::new(1.2, 0.9, 2.4), Vec3::ZERO, WIDTH, HEIGHT);
+    let outcome = twins.on_gpu(&camera, settings(Component::Mirror, Blend::Average));
+    assert!(matches!(outcome, Err(RenderError::Gpu(GpuError::TooManyPages { needed, capacity })) if needed > capacity), "{outcome:?}");
+}
+
+#[test]
+fn no_camera_makes_a_nan_leave_the_gpu() {
+    if test_gpu().is_none() {
+        return;
+    }
+    let (mut field, pages) = WORLD.build();
+    starve(&mut field, 0);
+    let field: Arc<dyn Representation> = Arc::new(field);
+    let renderer = Renderer::with_gpu(BUDGET).unwrap();
+    for (number, camera) in odd_cameras(&WORLD).into_iter().enumerate() {
+        for blend in BLENDS {
+            let any = AnySettings::OffsetSurfaceLightField(settings(Component::Full, blend));
+            let request = FrameRequest { camera: &camera, settings: &any, outputs: EVERYTHING };
+            let frame = renderer.render(&field, &pages, &request, None).unwrap();
+            // The last two have focal lengths that no rasteriser stands; the CPU takes them.
+            let expected = if number < 6 { Backend::Gpu } else { Backend::Cpu };
+            assert_eq!(frame.stats.backend, expected, "{:?}", frame.stats.fallback);
+            assert!(frame.pixels.color.iter().all(|c| c.is_finite()), "{blend:?} from {:?}", camera.pose());
+            assert!(frame.pixels.depth.unwrap().iter().all(|d| *d > 0.0));
+        }
+    }
+}
+
+#[test]
+fn a_missing_page_is_an_error_that_names_it() {
+    let Some(mut twins) = Twins::new(WORLD.build(), BUDGET) else { return };
+    twins.pages.0.truncate(7);
+    let camera = WORLD.camera(Vec3::new(1.2, 0.9, 2.4), Vec3::ZERO, WIDTH, HEIGHT);
+    let outcome = twins.on_gpu(&camera, settings(Component::Mirror, Blend::Average));
+    assert!(matches!(outcome, Err(RenderError::Store(_))), "{outcome:?}");
+}
+
+#[test]
+fn the_g_buffer_names_parts_and_what_is_not_the_object() {
+    let Some(mut twins) = Twins::new(WORLD.build(), BUDGET) else { return };
+    let camera = WORLD.camera(Vec3::new(1.2, 0.9, 2.4), Vec3::ZERO, WIDTH, HEIGHT);
+    twins.on_gpu(&camera, settings(Component::Reconstruction, Blend::Distance)).unwrap();
+    let seen: Vec<Seen> = twins.kernel.read_g_buffer().iter().map(|p| Seen::from_code(p.a[2])).collect();
+    for expected in [Seen::Background, Seen::Nothing, Seen::Object { part: 4 }, Seen::Object { part: 2 }] {
+        assert!(seen.contains(&expected), "{expected:?}");
+    }
+}
+
+#[test]
+fn the_uniform_lies_in_memory_as_wgsl_has_it() {
+    assert_same_layout!(
+        super::super::KERNEL_SOURCE,
+        "Shading",
+        ShadingUniform { specular_reflectance, exponent, face_size, map_size, baseline_cube, stamp }
+    );
+}
