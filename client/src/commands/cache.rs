@@ -45,14 +45,14 @@ pub async fn run(command: Command, context: &Context) -> anyhow::Result<()> {
 fn stats_text(s: &wire::CacheStats) -> String {
     let rate = 100.0 * s.misses as f64 / s.look_ups.max(1) as f64;
     format!(
-        "memory     {} of {} in {} pages\nlook-ups   {}: {} hits ({} coalesced), {} misses ({rate:.2} %)\nevictions  {}\nread       {}, decoded to {}",
+        "memory     {} of {} in {} pages\nlook-ups   {}: {} hits, {} misses ({rate:.2} %, {} coalesced)\nevictions  {}\nread       {}, decoded to {}",
         bytes_text(s.memory_used_bytes),
         bytes_text(s.memory_budget_bytes),
         s.memory_pages,
         s.look_ups,
         s.hits,
-        s.coalesced,
         s.misses,
+        s.coalesced,
         s.evictions,
         bytes_text(s.read_bytes),
         bytes_text(s.decoded_bytes),
