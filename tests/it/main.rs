@@ -1,3 +1,15 @@
 //! Tests through the real binaries and the real port, and tests of the repository's own rules. One binary: one link.
+//!
+//! The binaries must be built: `tests/run` does, or `cargo build --workspace --bins`.
 
+mod bad_input;
+mod clients;
+mod command_line;
+mod killed;
+mod main_flow;
+mod process;
 mod rules;
+mod system;
+mod tiny;
+mod uploads;
+mod wire;
