@@ -108,7 +108,6 @@ const Z: f64 = 4.5;
 fn assert_matches(what: &str, halves: &[Image; 2], (truth, noise): &(Image, f64)) {
     for block in [1, 8] {
         let comparison = compare(halves, truth, *noise, block);
-        println!("{what}, {block} x {block}: {comparison:?}");
         assert!(comparison.z < Z, "{what}, means over {block} x {block} pixels: {comparison:?}");
     }
 }
