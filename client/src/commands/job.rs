@@ -90,7 +90,7 @@ pub struct CaptureArguments {
     /// Dataset to add a version to; created when there is none
     #[arg(long, value_name = "NAME")]
     dataset: String,
-    /// How far sample points are off the surface, scene units [default: 0.02 × the object's radius]
+    /// How far sample points are off the surface, scene units [default: half the distance between neighbours]
     #[arg(long, value_name = "LENGTH")]
     epsilon: Option<f32>,
     /// Distance between neighbouring sample points, scene units

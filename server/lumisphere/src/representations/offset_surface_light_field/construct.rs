@@ -3,7 +3,7 @@
 use glam::Vec3;
 use thiserror::Error;
 
-use super::sample_points::{PlacementError, Spacing, build_sample_maps, place_sample_points};
+use super::sample_points::{PlacementError, Spacing, build_sample_maps, place_sample_points, spacing_of};
 use super::{NO_SAMPLE, OffsetSurfaceLightField, Parameters, PartsError, SamplePoint, SurfaceMesh, to_parts};
 use crate::capture::{CaptureError, Viewpoint, bake_background, trace_cube_maps};
 use crate::progress::{Cancelled, Progress};
@@ -16,7 +16,7 @@ use crate::textures::{PixelFormat, Staging, StoreError};
 pub struct ConstructSettings {
     /// Name of the object.
     pub object: String,
-    /// Distance of the sample points from the surface; None: 0.02 × the radius of the object's bounding sphere.
+    /// Distance of the sample points from the surface; None: half the distance between neighbouring sample points.
     pub epsilon: Option<f32>,
     /// How densely sample points lie.
     pub spacing: Spacing,
@@ -84,8 +84,9 @@ impl From<CaptureError> for ConstructError {
     }
 }
 
-// ε as a fraction of the object's bounding radius where none is given; the source's 0.1 on a teapot of radius about 3.
-const DEFAULT_EPSILON_PER_RADIUS: f32 = 0.02;
+// ε where none is given. A texel up to one spacing d from its nearest sample point must see it within the runtime horizon of 65°:
+// ε ≥ d / tan 65° = 0.47 d. The source's 0.1 and 0.25 with 1156 points on the teapot (d = 0.17) lie on both sides of this.
+const DEFAULT_EPSILON_PER_SPACING: f32 = 0.5;
 // Paths a side of a background vertex.
 const BACKGROUND_SAMPLES: u32 = 64;
 
@@ -104,13 +105,13 @@ pub fn construct(
     let object = &scene.objects[index];
     let (low, high) = object.mesh.bounds();
     let (center, radius) = (0.5 * (low + high), 0.5 * (high - low).length());
-    let epsilon = settings.epsilon.unwrap_or(DEFAULT_EPSILON_PER_RADIUS * radius);
-    check(settings, epsilon)?;
+    check(settings)?;
 
     progress.report("placing sample points", 0, 1);
     let surface = surface_mesh(object);
     let tracer = Tracer::new(scene)?.with_appearance(index, Appearance::Diffuse);
     let placed = place_sample_points(&surface, settings.spacing)?;
+    let epsilon = settings.epsilon.unwrap_or_else(|| DEFAULT_EPSILON_PER_SPACING * spacing_of(&surface, placed.len()));
     let sample_points = offset_points(&placed, epsilon, &tracer);
     if sample_points.is_empty() {
         return Err(ConstructError::AllInside(placed.len()));
@@ -149,7 +150,7 @@ pub fn construct(
     Ok(field.parameters)
 }
 
-fn check(settings: &ConstructSettings, epsilon: f32) -> Result<(), ConstructError> {
+fn check(settings: &ConstructSettings) -> Result<(), ConstructError> {
     let within = |setting, value: u32, low: u32, high: u32, expected| {
         if (low..=high).contains(&value) { Ok(()) } else { Err(ConstructError::Setting { setting, value: value.to_string(), expected }) }
     };
@@ -157,7 +158,9 @@ fn check(settings: &ConstructSettings, epsilon: f32) -> Result<(), ConstructErro
     within("sample map size", settings.sample_map_size_texels, 1, 1024, "1 to 1024 texels")?;
     within("samples per texel", settings.samples_per_texel, 1, 65_536, "1 to 65536")?;
     within("max bounces", settings.max_bounces, 1, 64, "1 to 64")?;
-    if !(epsilon > 0.0 && epsilon.is_finite()) {
+    if let Some(epsilon) = settings.epsilon
+        && !(epsilon > 0.0 && epsilon.is_finite())
+    {
         return Err(ConstructError::Setting { setting: "epsilon", value: epsilon.to_string(), expected: "a finite distance above zero" });
     }
     Ok(())

@@ -20,6 +20,15 @@ pub enum Spacing {
     Count(u32),
 }
 
+/// The spacing at which `count` points would lie on `surface`, as [`place_sample_points`] places them.
+pub fn spacing_of(surface: &SurfaceMesh, count: usize) -> f32 {
+    (area(surface) * POINTS_PER_SQUARE_SPACING / count as f32).sqrt()
+}
+
+fn area(surface: &SurfaceMesh) -> f32 {
+    (0..surface.mesh.triangles.len()).map(|t| surface.mesh.area_vector(t).length()).sum()
+}
+
 /// Why no sample points could be placed.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum PlacementError {
@@ -47,12 +56,12 @@ const POINTS_PER_SQUARE_SPACING: f32 = 0.7;
 ///
 /// Points on opposite sides of a thin wall do not keep each other away. The same mesh and spacing give the same points.
 pub fn place_sample_points(surface: &SurfaceMesh, spacing: Spacing) -> Result<Vec<SamplePoint>, PlacementError> {
-    let area: f32 = (0..surface.mesh.triangles.len()).map(|t| surface.mesh.area_vector(t).length()).sum();
+    let area = area(surface);
     match spacing {
         Spacing::Distance(distance) if distance > 0.0 && distance.is_finite() => throw_darts(surface, area, distance),
         Spacing::Count(count) if count >= 4 => {
             // The count falls as the spacing grows: bisect on the spacing, 12 halvings of a factor of four.
-            let guess = (area * POINTS_PER_SQUARE_SPACING / count as f32).sqrt();
+            let guess = spacing_of(surface, count as usize);
             let (mut low, mut high) = (0.5 * guess, 2.0 * guess);
             let mut best = throw_darts(surface, area, guess)?;
             for _ in 0..12 {
@@ -129,8 +138,8 @@ fn candidate(surface: &SurfaceMesh, cumulative_area: &[f64], i: u64) -> SamplePo
 
 /// For every texel of every part the four nearest sample points within 85° of its normal that `visible(texel, sample)` accepts.
 ///
-/// `size` texels along an edge. Texels outside the surface's uv take the value of the nearest texel inside, so that a nearest-texel
-/// look-up at a border is never empty. `visible` is asked with world positions of the surface point and the sample point.
+/// `size` texels along an edge. Texels outside the surface's uv, and those for which no point qualifies, take the value of the nearest
+/// texel that has one, so that a look-up is never empty; when rendered, the 65° check flags what does not serve. `visible` is asked with world positions of the surface point and the sample point.
 pub fn build_sample_maps(
     surface: &SurfaceMesh,
     points: &[SamplePoint],
@@ -141,7 +150,7 @@ pub fn build_sample_maps(
         .into_par_iter()
         .flat_map_iter(|part| {
             let texels = surface_texels(surface, part, size);
-            let mut map: Vec<Option<[u16; 4]>> = texels.par_iter().map(|t| t.map(|t| best_four(t, points, visible))).collect();
+            let mut map: Vec<Option<[u16; 4]>> = texels.par_iter().map(|t| t.and_then(|t| best_four(t, points, visible))).collect();
             fill_outside(&mut map, size);
             map.into_iter().map(|m| m.unwrap_or([NO_SAMPLE; 4]))
         })
@@ -149,7 +158,7 @@ pub fn build_sample_maps(
     SampleMaps { size, indices }
 }
 
-fn best_four(texel: SamplePoint, points: &[SamplePoint], visible: &(dyn Fn(SamplePoint, Vec3) -> bool + Sync)) -> [u16; 4] {
+fn best_four(texel: SamplePoint, points: &[SamplePoint], visible: &(dyn Fn(SamplePoint, Vec3) -> bool + Sync)) -> Option<[u16; 4]> {
     let cos_horizon = CONSTRUCTION_HORIZON_DEG.to_radians().cos();
     let mut near: Vec<(f32, u16)> = points
         .iter()
@@ -182,7 +191,7 @@ fn best_four(texel: SamplePoint, points: &[SamplePoint], visible: &(dyn Fn(Sampl
             }
         }
     }
-    four
+    (found > 0).then_some(four)
 }
 
 // Surface point and normal at each texel centre of `part`; None outside its triangles' uv.
@@ -319,6 +328,14 @@ mod tests {
         let maps = build_sample_maps(&surface, &points, 1, &|_, p| p.z > 0.35);
         assert_eq!(maps.at(0, 0.5, 0.5), [3, 4, NO_SAMPLE, NO_SAMPLE]);
         assert_eq!(maps.at(1, 0.5, 0.5), [NO_SAMPLE; 4]);
+    }
+
+    #[test]
+    fn texels_that_no_point_serves_take_their_neighbours_value() {
+        // One point low over a corner: only texels close to it have it above their 85° horizon, tan 85° · 0.01 = 0.11 away.
+        let points = [SamplePoint { position: Vec3::new(0.1, 0.1, 0.01), normal: Vec3::Z }];
+        let maps = build_sample_maps(&sheet(), &points, 8, &|_, _| true);
+        assert_eq!(maps.at(0, 0.9, 0.9), [0, NO_SAMPLE, NO_SAMPLE, NO_SAMPLE]);
     }
 
     #[test]
