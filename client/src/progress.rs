@@ -8,6 +8,8 @@ use crate::output::{Output, ProgressStyle};
 
 /// Between two lines of one stage where there is no terminal.
 const LINE_INTERVAL: Duration = Duration::from_secs(5);
+/// Between lines of different stages: a row of short ones (many small files) is not worth a line each.
+const STAGE_INTERVAL: Duration = Duration::from_secs(1);
 
 /// Shows how far work is.
 pub struct Meter {
@@ -18,7 +20,14 @@ pub struct Meter {
 enum Shown {
     Silent,
     Bar(ProgressBar),
-    Lines { last: Option<Instant> },
+    Lines(Lines),
+}
+
+/// When to print the next line.
+#[derive(Default)]
+struct Lines {
+    last: Option<Instant>,
+    has_shown_stage: bool,
 }
 
 /// What is shown.
@@ -39,7 +48,7 @@ impl Meter {
     pub fn new(output: Output) -> Self {
         let shown = match output.progress_style() {
             ProgressStyle::Silent => Shown::Silent,
-            ProgressStyle::Lines => Shown::Lines { last: None },
+            ProgressStyle::Lines => Shown::Lines(Lines::default()),
             ProgressStyle::Bar => Shown::Bar(bar()),
         };
         Self { shown, stage: String::new() }
@@ -59,11 +68,8 @@ impl Meter {
                 bar.set_prefix(progress.stage.to_string());
                 bar.set_message(left_text(progress.seconds_left));
             }
-            Shown::Lines { last } => {
-                let is_due = last.is_none_or(|at| at.elapsed() >= LINE_INTERVAL);
-                let is_end = progress.total > 0 && progress.done == progress.total;
-                if is_new_stage || is_due || is_end {
-                    *last = Some(Instant::now());
+            Shown::Lines(lines) => {
+                if lines.is_due(progress, is_new_stage, Instant::now()) {
                     eprintln!("{}", line_text(progress));
                 }
             }
@@ -75,6 +81,24 @@ impl Meter {
         if let Shown::Bar(bar) = self.shown {
             bar.finish_and_clear();
         }
+    }
+}
+
+impl Lines {
+    /// A stage is announced, its long work told now and then, and its end if it was announced.
+    fn is_due(&mut self, progress: Progress<'_>, is_new_stage: bool, now: Instant) -> bool {
+        let since = self.last.map(|last| now.duration_since(last));
+        let has_passed = |interval: Duration| since.is_none_or(|since| since >= interval);
+        let is_end = progress.total > 0 && progress.done == progress.total;
+        let is_due = match is_new_stage {
+            true => has_passed(STAGE_INTERVAL),
+            false => has_passed(LINE_INTERVAL) || (is_end && self.has_shown_stage),
+        };
+        if is_due {
+            self.last = Some(now);
+        }
+        self.has_shown_stage = (is_due || (self.has_shown_stage && !is_new_stage)) && !is_end;
+        is_due
     }
 }
 
@@ -106,5 +130,23 @@ mod tests {
         let progress = Progress { stage: "tracing cube maps", done: 3, total: 10, seconds_left: Some(75.0) };
         assert_eq!(line_text(progress), "tracing cube maps: 3/10 about 1 min 15 s left");
         assert_eq!(line_text(Progress { total: 0, seconds_left: None, ..progress }), "tracing cube maps: 3");
+    }
+
+    #[test]
+    fn short_stages_get_one_line_among_many_and_a_long_one_its_end() {
+        let begun = Instant::now();
+        let mut lines = Lines::default();
+        let mut told = |stage: u64, done: u64, millis: u64| {
+            let progress = Progress { stage: "", done, total: 10, seconds_left: None };
+            lines.is_due(progress, done == 0 && stage > 0, begun + Duration::from_millis(millis))
+        };
+        // Ten files within a second: the first is told.
+        let files: Vec<bool> = (1..=10).map(|stage| told(stage, 0, 10 * stage)).collect();
+        assert_eq!(files.iter().filter(|told| **told).count(), 1);
+        // A stage of 12 s: its beginning, two between, its end; the end once.
+        let long: Vec<bool> = [(9, 0, 2000), (9, 1, 4000), (9, 2, 7001), (9, 3, 12_002), (9, 10, 14_000), (9, 10, 14_001)]
+            .map(|(s, d, t)| told(s, d, t))
+            .into();
+        assert_eq!(long, [true, false, true, true, true, false]);
     }
 }
