@@ -135,7 +135,7 @@ fn build_binary(triangles: &[[Vec3; 3]]) -> Bvh2 {
     binary
 }
 
-/// Share of the nodes tried for reinsertion: measured on the gazebo (docs/measurements.md), more gains nothing.
+/// Share of the nodes tried for reinsertion; not yet tuned by measurement.
 const REINSERTED_SHARE: f32 = 0.1;
 
 /// Cost of a box test in triangle tests: a packet tests four triangles at the price of one, so leaves want to be full.

@@ -144,7 +144,7 @@ impl Rasterizer {
         gpu.check_binding("the background's textures", size_of_val(geometry.pyramids.texels.as_slice()) as u64)?;
         let materials = storage_buffer(gpu, "materials", &geometry.materials, none);
         let levels = storage_buffer(gpu, "levels", &geometry.pyramids.levels, none);
-        let texels = storage_buffer(gpu, "texels", bytemuck::cast_slice::<_, u64>(&geometry.pyramids.texels), none);
+        let texels = storage_buffer(gpu, "texels", &geometry.pyramids.texels, none);
         let camera = uniform_buffer::<CameraUniform>(gpu, "camera");
         let view = environment.create_view(&wgpu::TextureViewDescriptor::default());
         let resources = [
