@@ -8,7 +8,7 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 
 use super::error::StoreError;
 use super::page::{Page, PageId};
-use super::policy::Lru;
+use super::policy::{Lru, PageKey, Policy};
 use super::version::{DatasetVersion, ReadCost};
 
 /// What the cache did since it was made. `look_ups = hits + misses`, and `misses − coalesced_waits` pages were read.
@@ -286,7 +286,7 @@ impl State {
                 self.frames.len() as u32 - 1
             }
         };
-        self.order.insert(index);
+        self.order.insert(index, PageKey(0), bytes);
         *self.place(key) = Place::Frame(index);
         self.stats.resident_pages += 1;
         self.stats.resident_bytes += bytes;
@@ -295,8 +295,7 @@ impl State {
 
     fn evict_down_to(&mut self, bytes: u64) {
         while self.stats.resident_bytes > bytes {
-            let victim = self.order.victim().expect("resident bytes belong to pages in the order");
-            self.order.remove(victim);
+            let victim = self.order.evict().expect("resident bytes belong to pages in the order");
             let frame = self.frames[victim as usize].take().expect("a page in the order has a frame");
             self.free.push(victim);
             *self.place(frame.key) = Place::Absent;

@@ -1,65 +1,34 @@
-//! Exact least-recently-used order: a doubly linked list through an array of slots, O(1) an operation.
+//! Exact least recently used (P. Denning 1968): the reference of all others, and within a few percent of the best on rendered frames.
 
-/// End of the list; also the links of a slot that is not in it.
-const NONE: u32 = u32::MAX;
+use super::order::Order;
+use super::{PageKey, Policy};
 
-#[derive(Debug, Clone, Copy)]
-struct Links {
-    newer: u32,
-    older: u32,
-}
-
-/// Orders slots 0…n−1 by last use. Grows as slots are added; never allocates on a touch.
+/// Gives up what has not been used for longest.
 #[derive(Debug)]
-pub(in crate::textures) struct Lru {
-    links: Vec<Links>,
-    newest: u32,
-    oldest: u32,
+pub struct Lru {
+    order: Order,
 }
 
 impl Lru {
-    /// No slot.
+    /// Knows no slot yet.
+    #[allow(clippy::new_without_default)]
     pub fn new() -> Self {
-        Self { links: Vec::new(), newest: NONE, oldest: NONE }
+        Self { order: Order::new() }
     }
+}
 
-    /// Adds a slot that is not in the order, as the newest.
-    pub fn insert(&mut self, slot: u32) {
-        if self.links.len() <= slot as usize {
-            self.links.resize(slot as usize + 1, Links { newer: NONE, older: NONE });
-        }
-        self.links[slot as usize] = Links { newer: NONE, older: self.newest };
-        match self.newest {
-            NONE => self.oldest = slot,
-            newest => self.links[newest as usize].newer = slot,
-        }
-        self.newest = slot;
+impl Policy for Lru {
+    fn insert(&mut self, slot: u32, _: PageKey, _: u64) {
+        self.order.push_newest(slot);
     }
-
-    /// Makes a slot of the order the newest.
     #[inline]
-    pub fn touch(&mut self, slot: u32) {
-        if self.newest != slot {
-            self.remove(slot);
-            self.insert(slot);
-        }
+    fn touch(&mut self, slot: u32) {
+        self.order.make_newest(slot);
     }
-
-    /// Takes a slot out of the order.
-    pub fn remove(&mut self, slot: u32) {
-        let Links { newer, older } = self.links[slot as usize];
-        match newer {
-            NONE => self.newest = older,
-            newer => self.links[newer as usize].older = older,
-        }
-        match older {
-            NONE => self.oldest = newer,
-            older => self.links[older as usize].newer = newer,
-        }
+    fn remove(&mut self, slot: u32) {
+        self.order.remove(slot);
     }
-
-    /// The slot to give up next; None when there is none.
-    pub fn victim(&self) -> Option<u32> {
-        (self.oldest != NONE).then_some(self.oldest)
+    fn evict(&mut self) -> Option<u32> {
+        self.order.pop_oldest()
     }
 }
