@@ -1,12 +1,18 @@
-//! Texels ↔ stored bytes. `zstd-chunk`: blocks of 16 rows, each its own zstd frame over byte planes with its own xxh3.
+//! Texels ↔ stored bytes. One file a codec; all cut a page into pieces of 16 rows, each under its own xxh3.
 //!
-//! Within a block the numbers pass through [`planes`], a reversible transform. Lossless for f32; f16 loses only what rounding
-//! loses. A block never refers outside itself.
+//! `zstd-chunk`: every piece is a zstd frame of its own, so any rows can be read alone. `zstd-seq`: one zstd frame a page, flushed after
+//! each piece, so that it can be decoded up to any row but only from the start. `lzw-seq`: TIFF's LZW over the plain numbers, the codec
+//! of the paper whose read strategies the cache has (offset surface light fields), sequential too and exact to the row.
 //!
-//! The sequential codecs (one frame a page, LZW) get their own [`Codec`] value and file beside this one.
+//! Before zstd the numbers pass through [`planes`], a reversible transform. Lossless for f32; f16 loses only what rounding loses.
 
-use std::cell::RefCell;
+mod lzw_seq;
+mod zstd_chunk;
+mod zstd_seq;
+
+use std::fmt;
 use std::ops::Range;
+use std::str::FromStr;
 
 use half::f16;
 use half::slice::HalfFloatSliceExt;
@@ -24,10 +30,77 @@ pub const MAX_F16: f32 = 65504.0;
 const ZSTD_LEVEL: i32 = 1;
 
 /// How a page's texels are packed. The numbers are those on disk.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Codec {
-    /// Independent blocks of 16 rows, zstd over byte planes.
+    /// Independent blocks of 16 rows, zstd over byte planes: the default.
     ZstdChunk = 1,
+    /// One zstd frame over byte planes of 16 rows.
+    ZstdSeq = 2,
+    /// LZW as in TIFF, over the numbers as they are.
+    LzwSeq = 3,
+}
+
+impl Codec {
+    /// Every one.
+    pub const ALL: [Self; 3] = [Self::ZstdChunk, Self::ZstdSeq, Self::LzwSeq];
+
+    /// As written in configuration.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::ZstdChunk => "zstd-chunk",
+            Self::ZstdSeq => "zstd-seq",
+            Self::LzwSeq => "lzw-seq",
+        }
+    }
+
+    /// From the number on disk.
+    pub(super) fn from_number(number: u8) -> Option<Self> {
+        Self::ALL.into_iter().find(|codec| *codec as u8 == number)
+    }
+
+    /// Whether rows can be had only by unpacking all rows before them.
+    pub fn is_sequential(self) -> bool {
+        self != Self::ZstdChunk
+    }
+
+    /// Rows that are unpacked together: asking for one row of them gives them all.
+    pub fn step_rows(self) -> u32 {
+        match self {
+            Self::ZstdChunk | Self::ZstdSeq => BLOCK_ROWS,
+            Self::LzwSeq => 1,
+        }
+    }
+
+    /// The blocks whose bytes are needed for `rows`, which are not empty.
+    pub(super) fn blocks_for(self, rows: &Range<u32>) -> Range<u32> {
+        let start = if self.is_sequential() { 0 } else { rows.start / BLOCK_ROWS };
+        start..rows.end.div_ceil(BLOCK_ROWS)
+    }
+
+    /// How many rows are unpacked to have `rows`.
+    pub fn unpacked_rows(self, shape: &PageShape, rows: &Range<u32>) -> u32 {
+        let end = rows.end.next_multiple_of(self.step_rows()).min(shape.height);
+        if self.is_sequential() { end } else { end - rows.start / BLOCK_ROWS * BLOCK_ROWS }
+    }
+}
+
+impl fmt::Display for Codec {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+/// No codec has this name.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("no codec {0:?}: expected zstd-chunk, zstd-seq or lzw-seq")]
+pub struct UnknownCodec(pub String);
+
+impl FromStr for Codec {
+    type Err = UnknownCodec;
+
+    fn from_str(name: &str) -> Result<Self, UnknownCodec> {
+        Self::ALL.into_iter().find(|codec| codec.name() == name).ok_or_else(|| UnknownCodec(name.into()))
+    }
 }
 
 /// One block's place in a page's payload.
@@ -51,6 +124,13 @@ pub struct EncodedPage {
     pub clamped: u64,
 }
 
+impl EncodedPage {
+    /// Compressed bytes, headers aside.
+    pub fn payload_bytes(&self) -> usize {
+        self.payload.len()
+    }
+}
+
 /// Blocks of a page.
 pub(super) fn block_count(shape: &PageShape) -> u32 {
     shape.height.div_ceil(BLOCK_ROWS)
@@ -61,75 +141,134 @@ pub(super) fn block_rows(shape: &PageShape, index: u32) -> Range<u32> {
     index * BLOCK_ROWS..((index + 1) * BLOCK_ROWS).min(shape.height)
 }
 
+/// [`encode_as`] with the default codec, `zstd-chunk`.
+pub fn encode(shape: &PageShape, texels: &[f32]) -> Result<EncodedPage, StoreError> {
+    encode_as(Codec::ZstdChunk, shape, texels)
+}
+
 /// Packs `texels` (height · width · channels numbers, interleaved, row 0 first) as `shape.pixel`.
 /// Same input, same bytes. Fails on a shape that cannot be stored or a wrong count.
-pub fn encode(shape: &PageShape, texels: &[f32]) -> Result<EncodedPage, StoreError> {
+pub fn encode_as(codec: Codec, shape: &PageShape, texels: &[f32]) -> Result<EncodedPage, StoreError> {
     let shape = shape.checked()?;
     if texels.len() != shape.values() {
         return Err(StoreError::InvalidPage { reason: format!("{} numbers where the shape has {}", texels.len(), shape.values()) });
     }
-    let mut page =
-        EncodedPage { shape, codec: Codec::ZstdChunk, blocks: Vec::new(), payload: Vec::with_capacity(shape.decoded_bytes()), clamped: 0 };
-    let channels = shape.channels as usize;
-    let mut unpacked = Vec::new();
-    for block in texels.chunks(shape.row_values() * BLOCK_ROWS as usize) {
-        unpacked.clear();
-        match shape.pixel {
-            PixelFormat::F32 => planes::split::<u32>(bytemuck::cast_slice(block), channels, shape.row_values(), &mut unpacked),
-            PixelFormat::F16 => {
-                let (halves, clamped) = to_f16(block);
-                page.clamped += clamped;
-                planes::split::<u16>(bytemuck::cast_slice(&halves), channels, shape.row_values(), &mut unpacked);
-            }
+    let (stored, clamped) = match shape.pixel {
+        PixelFormat::F32 => (Texels::F32(texels.to_vec()), 0),
+        PixelFormat::F16 => {
+            let (halves, clamped) = to_f16(texels);
+            (Texels::F16(halves), clamped)
         }
-        let packed = compress(&unpacked);
-        page.blocks.push(Block { offset: page.payload.len() as u32, length: packed.len() as u32, checksum: xxh3_64(&packed) });
-        page.payload.extend_from_slice(&packed);
+    };
+    let mut page = EncodedPage { shape, codec, blocks: Vec::new(), payload: Vec::with_capacity(shape.decoded_bytes()), clamped };
+    match codec {
+        Codec::ZstdChunk => zstd_chunk::pack(&stored, &mut page),
+        Codec::ZstdSeq => zstd_seq::pack(&stored, &mut page),
+        Codec::LzwSeq => lzw_seq::pack(&stored, &mut page),
     }
     Ok(page)
 }
 
-/// A block that does not decode: its rows and why.
+impl EncodedPage {
+    /// The payload from the last block's end on becomes a block.
+    fn close_block(&mut self) {
+        self.close_block_at(self.payload.len());
+    }
+
+    fn close_block_at(&mut self, end: usize) {
+        let start = self.blocks.last().map_or(0, |b| (b.offset + b.length) as usize);
+        let checksum = xxh3_64(&self.payload[start..end]);
+        self.blocks.push(Block { offset: start as u32, length: (end - start) as u32, checksum });
+    }
+}
+
+/// A block that does not decode: the rows that cannot be had without it and why.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct BadBlock {
     pub rows: Range<u32>,
     pub reason: &'static str,
 }
 
-/// Rows `blocks.start · 16` … of a page. `packed(index)` gives block `index`'s compressed bytes, or None where the file ends before.
-pub(super) fn decode<'a>(
-    shape: &PageShape,
-    table: &[Block],
-    blocks: Range<u32>,
-    packed: impl Fn(&Block) -> Option<&'a [u8]>,
-) -> Result<Page, BadBlock> {
-    let rows = block_rows(shape, blocks.start).start..block_rows(shape, blocks.end - 1).end;
-    let part = PageShape { height: rows.end - rows.start, ..*shape };
-    let mut texels = match shape.pixel {
-        PixelFormat::F32 => Texels::F32(vec![0.0; part.values()]),
-        PixelFormat::F16 => Texels::F16(vec![f16::ZERO; part.values()]),
+const CUT: &str = "the segment ends before them";
+const CHANGED: &str = "checksum mismatch";
+
+/// What decoding is given: a page's header, and its compressed blocks where they are at hand.
+pub(super) struct Source<'a> {
+    pub codec: Codec,
+    pub shape: PageShape,
+    pub table: &'a [Block],
+    /// Compressed bytes of a block of [`Codec::blocks_for`]; None where the file ends before.
+    pub packed: &'a dyn Fn(u32) -> Option<&'a [u8]>,
+}
+
+impl<'a> Source<'a> {
+    /// A block's bytes, once they are known to be what was written.
+    fn checked(&self, index: u32) -> Result<&'a [u8], BadBlock> {
+        let bytes = (self.packed)(index).ok_or_else(|| self.bad(index, CUT))?;
+        if xxh3_64(bytes) == self.table[index as usize].checksum { Ok(bytes) } else { Err(self.bad(index, CHANGED)) }
+    }
+
+    /// A sequential codec loses what follows too.
+    fn bad(&self, index: u32, reason: &'static str) -> BadBlock {
+        let rows = block_rows(&self.shape, index);
+        BadBlock { rows: if self.codec.is_sequential() { rows.start..self.shape.height } else { rows }, reason }
+    }
+}
+
+/// Some rows of a page, not empty and within it, as a page of that height.
+pub(super) fn decode(source: &Source<'_>, rows: Range<u32>) -> Result<Page, BadBlock> {
+    let mut texels = match source.shape.pixel {
+        PixelFormat::F32 => Texels::F32(Vec::new()),
+        PixelFormat::F16 => Texels::F16(Vec::new()),
     };
+    let first = match source.codec {
+        Codec::ZstdChunk => zstd_chunk::unpack(source, &rows, &mut texels)?,
+        Codec::ZstdSeq => zstd_seq::unpack(source, &rows, &mut texels)?,
+        Codec::LzwSeq => lzw_seq::unpack(source, &rows, &mut texels)?,
+    };
+    let values = match &texels {
+        Texels::F32(v) => v.len(),
+        Texels::F16(v) => v.len(),
+    };
+    let unpacked = Page::new(PageShape { height: (values / source.shape.row_values()) as u32, ..source.shape }, texels);
+    Ok(unpacked.rows(rows.start - first..rows.end - first))
+}
+
+/// Appends the byte planes of some rows.
+fn split_rows(shape: &PageShape, texels: &Texels, rows: Range<u32>, planes: &mut Vec<u8>) {
     let (channels, row_values) = (shape.channels as usize, shape.row_values());
-    let mut start = 0;
-    for index in blocks {
-        let rows = block_rows(shape, index);
-        let values = start..start + row_values * rows.len();
-        start = values.end;
-        let bad = |reason| BadBlock { rows: rows.clone(), reason };
-        let block = &table[index as usize];
-        let bytes = packed(block).ok_or_else(|| bad("the segment ends before them"))?;
-        if xxh3_64(bytes) != block.checksum {
-            return Err(bad("checksum mismatch"));
+    let values = rows.start as usize * row_values..rows.end as usize * row_values;
+    match texels {
+        Texels::F32(v) => planes::split::<u32>(bytemuck::cast_slice(&v[values]), channels, row_values, planes),
+        Texels::F16(v) => planes::split::<u16>(bytemuck::cast_slice(&v[values]), channels, row_values, planes),
+    }
+}
+
+/// Appends the rows whose byte planes these are.
+fn join_rows(shape: &PageShape, planes: &[u8], texels: &mut Texels) {
+    let (channels, row_values) = (shape.channels as usize, shape.row_values());
+    let values = planes.len() / shape.pixel.bytes();
+    match texels {
+        Texels::F32(v) => {
+            let start = v.len();
+            v.resize(start + values, 0.0);
+            planes::join::<u32>(planes, channels, row_values, bytemuck::cast_slice_mut(&mut v[start..]));
         }
-        let unpacked = decompress(bytes, values.len() * shape.pixel.bytes(), |unpacked| match &mut texels {
-            Texels::F32(v) => planes::join::<u32>(unpacked, channels, row_values, bytemuck::cast_slice_mut(&mut v[values])),
-            Texels::F16(v) => planes::join::<u16>(unpacked, channels, row_values, bytemuck::cast_slice_mut(&mut v[values])),
-        });
-        if !unpacked {
-            return Err(bad("not a zstd frame of the right length"));
+        Texels::F16(v) => {
+            let start = v.len();
+            v.resize(start + values, f16::ZERO);
+            planes::join::<u16>(planes, channels, row_values, bytemuck::cast_slice_mut(&mut v[start..]));
         }
     }
-    Ok(Page::new(part, texels))
+}
+
+/// Room for rows to come, so that appending them allocates once.
+fn reserve_rows(shape: &PageShape, rows: u32, texels: &mut Texels) {
+    let values = rows as usize * shape.row_values();
+    match texels {
+        Texels::F32(v) => v.reserve_exact(values),
+        Texels::F16(v) => v.reserve_exact(values),
+    }
 }
 
 /// Nearest f16 of each number, and how many finite ones had to be clamped.
@@ -148,32 +287,4 @@ pub(super) fn to_f16(values: &[f32]) -> (Vec<f16>, u64) {
     let mut halves = vec![f16::ZERO; values.len()];
     halves.convert_from_f32_slice(&kept);
     (halves, clamped)
-}
-
-thread_local! {
-    // A zstd context is some hundred kilobytes: one a thread, not one a block.
-    static PACKER: RefCell<Option<zstd::bulk::Compressor<'static>>> = const { RefCell::new(None) };
-    static UNPACKER: RefCell<(Option<zstd::bulk::Decompressor<'static>>, Vec<u8>)> = const { RefCell::new((None, Vec::new())) };
-}
-
-fn compress(planes: &[u8]) -> Vec<u8> {
-    PACKER.with_borrow_mut(|packer| {
-        let packer =
-            packer.get_or_insert_with(|| zstd::bulk::Compressor::new(ZSTD_LEVEL).expect("a zstd context fails only without memory"));
-        packer.compress(planes).expect("zstd compresses any block into its own bound")
-    })
-}
-
-/// Calls `then` with exactly `length` unpacked bytes; false if `packed` does not hold that.
-fn decompress(packed: &[u8], length: usize, then: impl FnOnce(&[u8])) -> bool {
-    UNPACKER.with_borrow_mut(|(unpacker, planes)| {
-        let unpacker = unpacker.get_or_insert_with(|| zstd::bulk::Decompressor::new().expect("a zstd context fails only without memory"));
-        planes.clear();
-        planes.reserve(length);
-        let whole = unpacker.decompress_to_buffer(packed, planes).is_ok_and(|written| written == length);
-        if whole {
-            then(planes);
-        }
-        whole
-    })
 }

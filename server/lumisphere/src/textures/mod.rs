@@ -31,7 +31,7 @@ mod version;
 mod tests;
 
 pub use cache::{Cache, CacheStats};
-pub use codec::{BLOCK_ROWS, Codec, EncodedPage, MAX_F16, encode};
+pub use codec::{BLOCK_ROWS, Codec, EncodedPage, MAX_F16, UnknownCodec, encode, encode_as};
 pub use disk::{Disk, LimitedDisk, LocalDisk};
 pub use error::StoreError;
 pub use hash::ContentHash;

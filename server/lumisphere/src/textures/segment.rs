@@ -16,7 +16,7 @@ use std::sync::Arc;
 
 use xxhash_rust::xxh3::{Xxh3, xxh3_64};
 
-use super::codec::{self, Block, Codec, EncodedPage};
+use super::codec::{self, Block, Codec, EncodedPage, Source};
 use super::disk::Disk;
 use super::error::{At, StoreError};
 use super::hash::ContentHash;
@@ -49,6 +49,7 @@ pub(super) struct Location {
 pub(super) struct Header {
     pub page: PageId,
     pub shape: PageShape,
+    pub codec: Codec,
     pub blocks: Vec<Block>,
     payload_bytes: u32,
     pub checksum: u64,
@@ -83,9 +84,10 @@ impl Header {
         if header_checksum(&fixed[..32], table) != checksum {
             return Err("header checksum mismatch");
         }
-        if u16::from_le_bytes([fixed[4], fixed[5]]) != RECORD_VERSION || fixed[6] != Codec::ZstdChunk as u8 {
-            return Err("a record version or codec that this program does not know");
-        }
+        let codec = match (u16::from_le_bytes([fixed[4], fixed[5]]), Codec::from_number(fixed[6])) {
+            (RECORD_VERSION, Some(codec)) => codec,
+            _ => return Err("a record version or codec that this program does not know"),
+        };
         let pixel = match fixed[7] {
             1 => PixelFormat::F32,
             2 => PixelFormat::F16,
@@ -95,6 +97,7 @@ impl Header {
         let header = Self {
             page: PageId(u32_at(8)),
             shape,
+            codec,
             blocks: table.chunks_exact(ENTRY_BYTES).map(block_entry).collect(),
             payload_bytes: u32_at(28),
             checksum,
@@ -304,7 +307,7 @@ impl BadRecord {
 /// Decodes the whole page from the bytes of its record; `record` may be shorter than the record if the file ends before.
 pub(super) fn decode_record(record: &[u8], page: PageId, checksum: u64) -> Result<Page, BadRecord> {
     let header = expected_header(record, page, checksum)?;
-    decode_blocks(&header, 0..header.blocks.len() as u32, record, 0)
+    decode_rows(&header, 0..header.shape.height, record, 0)
 }
 
 /// The header of the record that the index promised.
@@ -316,13 +319,14 @@ pub(super) fn expected_header(record: &[u8], page: PageId, checksum: u64) -> Res
     Ok(header)
 }
 
-/// Decodes some blocks. `bytes` are the record's from `first_byte` on.
-pub(super) fn decode_blocks(header: &Header, blocks: Range<u32>, bytes: &[u8], first_byte: usize) -> Result<Page, BadRecord> {
-    codec::decode(&header.shape, &header.blocks, blocks, |block| {
-        let range = header.block_range(block);
+/// Decodes some rows. `bytes` are the record's from `first_byte` on and hold [`Codec::blocks_for`] them, unless the file is cut.
+pub(super) fn decode_rows(header: &Header, rows: Range<u32>, bytes: &[u8], first_byte: usize) -> Result<Page, BadRecord> {
+    let packed = |index: u32| {
+        let range = header.block_range(&header.blocks[index as usize]);
         bytes.get(range.start - first_byte..range.end - first_byte)
-    })
-    .map_err(|bad| BadRecord { rows: Some(bad.rows), reason: bad.reason })
+    };
+    let source = Source { codec: header.codec, shape: header.shape, table: &header.blocks, packed: &packed };
+    codec::decode(&source, rows).map_err(|bad| BadRecord { rows: Some(bad.rows), reason: bad.reason })
 }
 
 /// Bytes of the header that starts with `fixed`; at least what is given, for a header that is cut.

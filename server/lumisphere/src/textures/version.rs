@@ -9,7 +9,6 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Instant;
 
-use super::codec::BLOCK_ROWS;
 use super::disk::Disk;
 use super::error::{At, StoreError};
 use super::hash::ContentHash;
@@ -138,13 +137,10 @@ impl DatasetVersion {
                 what: format!("rows {}..{} of page {page} with {} rows", rows.start, rows.end, header.shape.height),
             });
         }
-        let blocks = rows.start / BLOCK_ROWS..rows.end.div_ceil(BLOCK_ROWS);
-        let range = segment::blocks_range(&header, blocks.clone());
+        let range = segment::blocks_range(&header, header.codec.blocks_for(&rows));
         let mut bytes = vec![0; range.len()];
         self.read(file, &mut bytes, location.offset + range.start as u64, page, &path)?;
-        let decoded = segment::decode_blocks(&header, blocks.clone(), &bytes, range.start).map_err(|bad| self.damaged(page, bad, path))?;
-        let first = rows.start - blocks.start * BLOCK_ROWS;
-        Ok(decoded.rows(first..first + rows.len() as u32))
+        segment::decode_rows(&header, rows, &bytes, range.start).map_err(|bad| self.damaged(page, bad, path))
     }
 
     /// Reads the fixed part, which tells how long the block table is, then both.

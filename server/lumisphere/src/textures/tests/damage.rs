@@ -63,6 +63,28 @@ fn a_flipped_byte_in_a_block_costs_that_block_only() {
     assert_eq!(cache.page(&version, PageId(2)).unwrap().to_f32(), texels(&small(), 2));
 }
 
+/// A sequential codec cannot go on behind the damage, but everything before it is still served.
+#[test]
+fn a_flipped_byte_in_a_sequential_page_costs_the_rows_from_there_on() {
+    for codec in [Codec::ZstdSeq, Codec::LzwSeq] {
+        let root = tempfile::tempdir().unwrap();
+        let (store, _) = open(root.path());
+        store.create_dataset("d").unwrap();
+        let staging = store.stage("d", "first").unwrap();
+        let encoded = encode_as(codec, &small(), &texels(&small(), 0)).unwrap();
+        staging.append_encoded(PageId(0), &encoded).unwrap();
+        let version = staging.publish(publication()).unwrap();
+        assert_eq!(version.read_page(PageId(0)).unwrap().to_f32(), texels(&small(), 0));
+        flip(&only_file(root.path(), "segments"), 40 + 3 * 16 + encoded.blocks[1].offset as usize + 5);
+        assert_eq!(version.read_rows(PageId(0), 3..16).unwrap().to_f32(), written(3..16, 0));
+        for rows in [16..17, 39..40, 0..40] {
+            let error = version.read_rows(PageId(0), rows.clone()).unwrap_err();
+            let StoreError::DamagedPage { page, rows, reason, .. } = &error else { panic!("{error}") };
+            assert_eq!((*page, rows.clone(), *reason), (PageId(0), 16..40, "checksum mismatch"), "{codec}");
+        }
+    }
+}
+
 /// Every place in a segment, with the index and without: at most one page suffers, never with wrong texels, and never silently.
 #[test]
 fn no_flipped_byte_in_a_segment_gives_a_wrong_texel() {

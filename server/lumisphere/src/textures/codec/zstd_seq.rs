@@ -1,0 +1,80 @@
+//! `zstd-seq`: one zstd frame a page, flushed after each block, so that the bytes up to a block's end give all rows up to there.
+
+use std::cell::RefCell;
+use std::io::Write;
+use std::ops::Range;
+
+use zstd::stream::raw::{Decoder, InBuffer, Operation, OutBuffer};
+use zstd::stream::write::Encoder;
+
+use super::{BadBlock, EncodedPage, Source, ZSTD_LEVEL, block_count, block_rows, join_rows, reserve_rows, split_rows};
+use crate::textures::page::Texels;
+
+thread_local! {
+    // A context and its window are some hundred kilobytes: one a thread.
+    static UNPACKER: RefCell<(Option<Decoder<'static>>, Vec<u8>)> = const { RefCell::new((None, Vec::new())) };
+}
+
+pub(super) fn pack(texels: &Texels, page: &mut EncodedPage) {
+    let shape = page.shape;
+    let written = "writing to memory fails only without memory";
+    let mut encoder = Encoder::new(std::mem::take(&mut page.payload), ZSTD_LEVEL).expect(written);
+    encoder.set_pledged_src_size(Some(shape.decoded_bytes() as u64)).expect("nothing was written yet");
+    let mut ends = Vec::new();
+    let mut planes = Vec::new();
+    for block in 0..block_count(&shape) {
+        planes.clear();
+        split_rows(&shape, texels, block_rows(&shape, block), &mut planes);
+        encoder.write_all(&planes).expect(written);
+        encoder.flush().expect(written);
+        ends.push(encoder.get_ref().len());
+    }
+    page.payload = encoder.finish().expect(written);
+    // The frame's epilogue belongs to the last block.
+    if let Some(last) = ends.last_mut() {
+        *last = page.payload.len();
+    }
+    for end in ends {
+        page.close_block_at(end);
+    }
+}
+
+/// Appends the wanted rows and those of their blocks; the first row appended.
+pub(super) fn unpack(source: &Source<'_>, rows: &Range<u32>, texels: &mut Texels) -> Result<u32, BadBlock> {
+    let shape = &source.shape;
+    let needed = source.codec.blocks_for(rows);
+    let first = rows.start / super::BLOCK_ROWS;
+    reserve_rows(shape, block_rows(shape, needed.end - 1).end - first * super::BLOCK_ROWS, texels);
+    UNPACKER.with_borrow_mut(|(decoder, planes)| {
+        let decoder = decoder.get_or_insert_with(|| Decoder::new().expect("a zstd context fails only without memory"));
+        decoder.reinit().expect("a context can be reset");
+        for index in needed {
+            let bytes = source.checked(index)?;
+            planes.resize(block_rows(shape, index).len() * shape.row_values() * shape.pixel.bytes(), 0);
+            if !fill(decoder, bytes, planes) {
+                return Err(source.bad(index, "not a zstd frame of the right length"));
+            }
+            if index >= first {
+                join_rows(shape, planes, texels);
+            }
+        }
+        Ok(first * super::BLOCK_ROWS)
+    })
+}
+
+/// Whether the bytes of one block fill its planes.
+fn fill(decoder: &mut Decoder<'_>, bytes: &[u8], planes: &mut [u8]) -> bool {
+    let (mut input, mut output) = (InBuffer::around(bytes), OutBuffer::around(planes));
+    loop {
+        let before = (input.pos(), output.pos());
+        if decoder.run(&mut input, &mut output).is_err() {
+            return false;
+        }
+        if output.pos() == output.capacity() {
+            return true;
+        }
+        if (input.pos(), output.pos()) == before {
+            return false;
+        }
+    }
+}
