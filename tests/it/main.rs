@@ -9,6 +9,7 @@ mod killed;
 mod main_flow;
 mod process;
 mod rules;
+mod stopping;
 mod system;
 mod tiny;
 mod uploads;

@@ -99,6 +99,25 @@ fn a_browser_gets_a_frame_over_grpc_web() {
 }
 
 #[test]
+fn pages_of_allowed_origins_and_no_others_may_call() {
+    let folder = temporary_folder();
+    let server = Server::start_with(&folder.path().join("data"), &["--allowed-origins", "https://viewer.example"]);
+    let call = |origin: &str| {
+        let head = format!(
+            "POST /lumisphere.v1alpha1.System/GetVersion HTTP/1.1\r\nContent-Type: application/grpc-web+proto\r\nX-Grpc-Web: 1\r\nOrigin: {origin}\r\nContent-Length: 5"
+        );
+        // An empty message: not compressed, length 0.
+        let (status, answer) = http(server.url.trim_start_matches("http://"), &head, &[0; 5]);
+        assert!(status.contains(" 200 "), "{status}");
+        String::from_utf8_lossy(&answer).to_lowercase()
+    };
+    let allowed = call("https://viewer.example");
+    assert!(allowed.contains("access-control-allow-origin: https://viewer.example"), "{allowed}");
+    assert!(allowed.contains("grpc-status-details-bin"), "a page could not read why a call failed: {allowed}");
+    assert!(!call("https://other.example").contains("access-control-allow-origin"));
+}
+
+#[test]
 fn unknown_keys_and_senseless_values_are_refused_at_start() {
     let folder = temporary_folder();
     let config = folder.path().join("server.toml");

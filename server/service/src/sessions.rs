@@ -28,6 +28,8 @@ use proto::interact_response::Message as Down;
 const OPENING_PATIENCE: Duration = Duration::from_secs(30);
 const DEFAULT_CREDITS: u32 = 2;
 const MAX_CREDITS: u32 = 16;
+/// A wish that found the render queue full tries again after this time.
+const QUEUE_RETRY: Duration = Duration::from_millis(20);
 /// Messages between the session and the connection: one on its way, one ready. A client that stops reading stops the session.
 const OUTBOX: usize = 2;
 
@@ -218,17 +220,23 @@ impl Session {
             let Ok(slot) = self.down.reserve().await else { return };
             let wish = wishes.borrow_and_update().clone();
             let Some((pose_id, camera)) = wish.pose else { continue };
-            shown = wish.revision;
-            self.app.metrics.poses_overtaken.inc_by((wish.poses - poses_shown).saturating_sub(1));
-            poses_shown = wish.poses;
             match self.render(camera, &wish, pose_id, sent + 1).await {
                 Ok(frame) => {
                     // Before it can be acknowledged.
                     self.sent.store(sent + 1, Ordering::SeqCst);
                     slot.send(Ok(response(Down::Frame(frame))));
                 }
+                // The wish stays due: a viewer at rest sends nothing that would ask again.
+                Err(error) if error.reason() == Reason::RenderQueueFull => {
+                    drop(slot);
+                    tokio::time::sleep(QUEUE_RETRY).await;
+                    continue;
+                }
                 Err(error) => slot.send(Ok(response(Down::Status(status(&error, pose_id))))),
             }
+            shown = wish.revision;
+            self.app.metrics.poses_overtaken.inc_by((wish.poses - poses_shown).saturating_sub(1));
+            poses_shown = wish.poses;
         }
     }
 
