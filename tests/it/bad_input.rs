@@ -109,11 +109,20 @@ fn capture_spec(change: impl FnOnce(&mut wire::CaptureSpec)) -> wire::SubmitJobR
     wire::SubmitJobRequest { spec: Some(wire::JobSpec { spec: Some(wire::job_spec::Spec::Capture(spec)) }), request_id: String::new() }
 }
 
+fn builtin(spec: &mut wire::CaptureSpec) -> &mut wire::BuiltinScene {
+    match spec.scene.as_mut().and_then(|s| s.source.as_mut()) {
+        Some(wire::scene_source::Source::Builtin(builtin)) => builtin,
+        other => panic!("{other:?}"),
+    }
+}
+
 #[tokio::test]
 async fn a_bad_job_is_refused_before_it_is_queued() {
     type Bad = (&'static str, fn(&mut wire::CaptureSpec));
-    const BAD: [Bad; 11] = [
+    const BAD: [Bad; 13] = [
         ("no scene", |s| s.scene = None),
+        ("unknown built-in scene", |s| builtin(s).name = "gazbo".into()),
+        ("unknown parameter", |s| builtin(s).parameters = [("colour".into(), "1".into())].into()),
         ("no object", |s| s.object.clear()),
         ("bad dataset name", |s| s.dataset = "No Good".into()),
         ("NaN offset", |s| s.offset = f32::NAN),

@@ -26,7 +26,7 @@ fn exit_codes_tell_what_went_wrong() {
         (&["dataset", "get", "nothing"], 3),
         (&["job", "get", "job-999999"], 3),
         (&["job", "submit", "capture", "--scene", "missing.json", "--object", "o", "--dataset", "d"], 3),
-        (&["job", "submit", "capture", "--scene", "no_such_scene", "--object", "o", "--dataset", "d", "--watch"], 6),
+        (&["job", "submit", "capture", "--scene", "no_such_scene", "--object", "o", "--dataset", "d"], 2),
         (&["dataset", "create", "empty"], 0),
         (&["dataset", "create", "empty"], 7),
         (&["render", "--dataset", "empty", "--out", out], 7),

@@ -58,9 +58,9 @@ impl Server {
         let log = data.with_extension("log");
         let stderr = File::options().create(true).append(true).open(&log).expect("the log can be written");
         command.args(["--listen-address", "127.0.0.1:0", "--http-address", "127.0.0.1:0", "--data-dir"]).arg(data);
-        // A test that waits for the end cannot close its own connections meanwhile.
-        command.args(["--shutdown-grace-seconds", "2"]);
         without_settings(command);
+        // A test that waits for the end cannot close its own connections meanwhile. A test's own flag stands above.
+        command.env("LUMISPHERE_SHUTDOWN_GRACE_SECONDS", "2");
         let mut child = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(stderr).spawn().expect("the server starts");
         let stdout = child.stdout.take().expect("stdout is piped");
         let mut server = Self { child, log, url: String::new(), http: String::new() };

@@ -20,7 +20,7 @@ const MAX_REQUEST_ID_BYTES: usize = 64;
 #[derive(Debug, Clone, PartialEq)]
 pub enum JobSpec {
     /// Scene to dataset version.
-    Capture(CaptureSpec),
+    Capture(Box<CaptureSpec>),
     /// Dataset version to table of errors.
     Evaluate(EvaluateSpec),
     /// Dataset version to frames.
@@ -176,7 +176,7 @@ pub fn job_spec(message: Option<proto::JobSpec>, limits: &SpecLimits) -> Result<
         return Err(ApiError::field("spec", format!("{bytes} bytes, at most {MAX_SPEC_BYTES} expected")));
     }
     Ok(match required(message.spec, "spec.spec")? {
-        Spec::Capture(m) => JobSpec::Capture(capture(m, "spec.capture")?),
+        Spec::Capture(m) => JobSpec::Capture(Box::new(capture(m, "spec.capture")?)),
         Spec::Evaluate(m) => JobSpec::Evaluate(evaluate(m, limits, "spec.evaluate")?),
         Spec::PathRender(m) => JobSpec::PathRender(path_render(m, limits, "spec.path_render")?),
     })

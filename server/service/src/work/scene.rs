@@ -3,13 +3,12 @@
 use std::collections::BTreeMap;
 
 use lumisphere::scenes::{
-    BUILTIN_SCENE_PATH, BuiltinOptions, DEFAULT_FILE_LIMIT_BYTES, EnvironmentFile, FileError, LoadOptions, Scene, SceneFiles,
-    builtin_files, load, normalised,
+    BUILTIN_SCENE_PATH, DEFAULT_FILE_LIMIT_BYTES, EnvironmentFile, FileError, LoadOptions, Scene, SceneFiles, builtin_files, load,
+    normalised,
 };
 use lumisphere::textures::{ContentHash, Store, StoreError};
 
 use crate::errors::{ApiError, Reason};
-use crate::wire::clipped;
 use crate::wire::scenes::{SceneBase, SceneSource};
 
 /// A bundle whose files are blobs.
@@ -43,36 +42,12 @@ pub fn load_scene(source: &SceneSource, store: &Store) -> Result<Scene, ApiError
     });
     let options = LoadOptions { environment: environment.transpose()? };
     Ok(match &source.base {
-        SceneBase::Builtin { name, parameters } => {
-            load(&builtin_files(name, &builtin_options(parameters)?)?, BUILTIN_SCENE_PATH, &options)?
-        }
+        SceneBase::Builtin { name, options: generator } => load(&builtin_files(name, generator)?, BUILTIN_SCENE_PATH, &options)?,
         SceneBase::Bundle { scene_path, files } => {
             let files = files.iter().map(|(path, hash)| (path.as_str(), *hash)).collect();
             load(&BundleInStore { store, files }, scene_path, &options)?
         }
     })
-}
-
-/// The generator's parameters by name; the defaults are those of the documentation.
-fn builtin_options(parameters: &BTreeMap<String, String>) -> Result<BuiltinOptions, ApiError> {
-    let mut options = BuiltinOptions::full();
-    for (name, value) in parameters {
-        let place = match name.as_str() {
-            "seed" => &mut options.seed,
-            "texture_px" => &mut options.texture_px,
-            "sky_px" => &mut options.sky_px,
-            "patch_steps" => &mut options.patch_steps,
-            _ => {
-                let message =
-                    format!("built-in scenes have no parameter {:?}; seed, texture_px, sky_px or patch_steps expected", clipped(name));
-                return Err(ApiError::new(Reason::SceneInvalid, message));
-            }
-        };
-        *place = value.parse().map_err(|_| {
-            ApiError::new(Reason::SceneInvalid, format!("parameter {name} is {:?}, a whole number expected", clipped(value)))
-        })?;
-    }
-    Ok(options)
 }
 
 /// Hashes of what a version was made from, by name.
@@ -87,24 +62,10 @@ pub fn inputs(source: &SceneSource) -> BTreeMap<String, ContentHash> {
 
 #[cfg(test)]
 mod tests {
+    use lumisphere::scenes::BuiltinOptions;
     use lumisphere::textures::StoreOptions;
 
     use super::*;
-
-    fn builtin(parameters: &[(&str, &str)]) -> SceneSource {
-        let parameters = parameters.iter().map(|(n, v)| (n.to_string(), v.to_string())).collect();
-        SceneSource { base: SceneBase::Builtin { name: "six_colours".into(), parameters }, environment: None }
-    }
-
-    #[test]
-    fn generated_scenes_take_named_parameters_and_no_others() {
-        let folder = tempfile::tempdir().unwrap();
-        let (store, _) = Store::open(folder.path(), StoreOptions::local()).unwrap();
-        assert!(!load_scene(&builtin(&[("texture_px", "64")]), &store).unwrap().objects.is_empty());
-        for bad in [[("colour", "1")], [("seed", "one")], [("texture_px", "-1")], [("texture_px", "1000000")]] {
-            assert_eq!(load_scene(&builtin(&bad), &store).unwrap_err().reason(), Reason::SceneInvalid, "{bad:?}");
-        }
-    }
 
     #[test]
     fn a_bundle_is_read_from_its_blobs_and_nothing_beside_them() {

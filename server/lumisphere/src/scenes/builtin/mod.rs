@@ -26,7 +26,7 @@ pub const BUILTIN_SCENE_PATH: &str = "scene.json";
 const GENERATOR_VERSION: u32 = 1;
 
 /// Sizes and seed of a generated scene.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct BuiltinOptions {
     /// Of all noise: textures, clouds, foliage.
     pub seed: u32,
@@ -103,7 +103,8 @@ impl Parts {
 }
 
 impl BuiltinOptions {
-    fn checked(self) -> Result<Self, SceneError> {
+    /// The options, if every size is in its range.
+    pub fn checked(self) -> Result<Self, SceneError> {
         let ranges =
             [("texture_px", self.texture_px, 16, 8192), ("sky_px", self.sky_px, 16, 8192), ("patch_steps", self.patch_steps, 2, 256)];
         match ranges.into_iter().find(|(_, value, low, high)| !(low..=high).contains(&value)) {
