@@ -7,6 +7,7 @@ mod clients;
 mod command_line;
 mod killed;
 mod main_flow;
+mod memory;
 mod process;
 mod rules;
 mod stopping;

@@ -88,6 +88,27 @@ impl Server {
         text.lines().filter(|line| !line.contains("configuration key=")).map(|line| format!("{line}\n")).collect()
     }
 
+    /// What it holds of the machine's memory now.
+    pub fn resident_bytes(&self) -> u64 {
+        self.status_bytes("VmRSS:")
+    }
+
+    /// The most that it held since its start or `forget_peak`.
+    pub fn peak_bytes(&self) -> u64 {
+        self.status_bytes("VmHWM:")
+    }
+
+    /// From now on, `peak_bytes` counts anew.
+    pub fn forget_peak(&self) {
+        fs::write(format!("/proc/{}/clear_refs", self.child.id()), "5").expect("Linux lets the parent do this");
+    }
+
+    fn status_bytes(&self, field: &str) -> u64 {
+        let status = fs::read_to_string(format!("/proc/{}/status", self.child.id())).expect("the server runs");
+        let kib = status.lines().find_map(|l| l.strip_prefix(field)?.split_whitespace().next()?.parse::<u64>().ok());
+        1024 * kib.unwrap_or_else(|| panic!("no {field} in {status}"))
+    }
+
     /// `kill -9`.
     pub fn kill(mut self) {
         self.child.kill().expect("the server runs");
