@@ -16,7 +16,7 @@ use lumisphere::representations::offset_surface_light_field::{
     Blend, Component, ConstructSettings, OffsetSurfaceLightField, PartsError, Settings as OslfSettings, Spacing, construct, from_parts,
 };
 use lumisphere::scenes::{BuiltinOptions, builtin};
-use lumisphere::textures::{Cache, DatasetVersion, PixelFormat, Publication, Store, StoreOptions};
+use lumisphere::textures::{Cache, CacheOptions, DatasetVersion, PixelFormat, Publication, Store, StoreOptions};
 
 const RUNS: usize = 15;
 const GPU_BUDGET_BYTES: u64 = 1 << 30;
@@ -33,7 +33,7 @@ fn main() {
     let triangles: usize = field.background.surfaces.iter().map(|s| s.mesh.triangles.len()).sum();
     println!("{face_size}² faces, {} points, {} + {triangles} triangles", field.sample_points.len(), field.surface.mesh.triangles.len());
     let field: Arc<dyn Representation> = Arc::new(field);
-    let pages = CachedPages { cache: Arc::new(Cache::new(4 << 30)), version };
+    let pages = CachedPages { cache: Arc::new(Cache::new(CacheOptions::decoded(4 << 30))), version };
     let renderer = Renderer::with_gpu(GPU_BUDGET_BYTES).unwrap_or_else(|e| {
         println!("{e}: CPU only");
         Renderer::cpu_only()

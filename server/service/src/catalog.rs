@@ -8,7 +8,9 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use lumisphere::representations::offset_surface_light_field as oslf;
 use lumisphere::representations::{CachedPages, Kind, Representation};
-use lumisphere::textures::{Cache, CacheStats, ContentHash, DatasetVersion, Manifest, OpenReport, Store, StoreError, StoreOptions};
+use lumisphere::textures::{
+    Cache, CacheOptions, CacheStats, ContentHash, DatasetVersion, Manifest, OpenReport, Store, StoreError, StoreOptions,
+};
 
 use uploads::Uploads;
 pub use uploads::{Progress, UploadLimits};
@@ -59,7 +61,7 @@ impl Catalog {
         Ok(Self {
             uploads: Uploads::new(store.clone(), limits),
             store,
-            cache: Arc::new(Cache::new(cache_bytes)),
+            cache: Arc::new(Cache::new(CacheOptions::decoded(cache_bytes))),
             opened: Mutex::default(),
             baseline: Mutex::default(),
         })

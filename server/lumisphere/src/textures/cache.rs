@@ -1,126 +1,121 @@
-//! Decoded pages in memory: exact least-recently-used order under a byte budget, one read for any number of waiting readers.
+//! The texture cache: decoded pages in memory, compressed blocks below them, each under a byte budget and a policy of its own.
 //!
-//! A page's place is found by two array look-ups (version slot, page number); nothing is hashed. The lock is held to find, order
-//! and evict, never while reading or decoding, so a slow read delays only those who want the same page. Other policies, read
-//! strategies (parts of pages) and tiers have their place beside `policy::lru`; the counters already keep apart what they need.
+//! Whole pages come through [`Cache::page`] (for the GPU), texels through a [`Reader`] (one a thread, for the CPU). What a miss decodes
+//! is the [`ReadStrategy`]'s choice. A page's place is found by two array look-ups; hits take no lock that all threads share: the
+//! page's own for a moment, and the thread's own note pad, from which the policy learns of uses before every arrival. One
+//! thread alone therefore gets exactly the policy's hits and misses. Concurrent misses of one page cause one read; a slow read
+//! delays only those who want that page.
+//!
+//! `residency` has the budget, `slot` the state machine, `table` the array, `read` what a miss does, `stripes` the note pads.
 
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+mod chunk;
+mod compressed;
+mod read;
+mod reader;
+mod residency;
+mod slot;
+#[cfg(test)]
+mod slot_model;
+mod stats;
+mod stripes;
+mod table;
+/// The locks of `slot`.
+mod sync {
+    pub use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+}
 
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Instant;
+
+pub use self::reader::Reader;
+pub use self::stats::{CacheSnapshot, CacheStats, CompressedStats, VersionStats};
+
+use self::chunk::Chunk;
+use self::compressed::CompressedTier;
+use self::read::{Miss, Want};
+use self::residency::Residency;
+use self::slot::{Flight, Found, Outcome};
+use self::stripes::Stripes;
+use self::table::{ChunkSlot, Part, Table, VersionTable};
 use super::error::StoreError;
 use super::page::{Page, PageId};
-use super::policy::{Lru, PageKey, Policy};
+use super::policy::PolicyKind;
+use super::read_strategy::ReadStrategy;
+use super::trace::{Recorder, Trace, TraceEvent};
 use super::version::{DatasetVersion, ReadCost};
 
-/// What the cache did since it was made. `look_ups = hits + misses`, and `misses − coalesced_waits` pages were read.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct CacheStats {
-    /// Pages asked for.
-    pub look_ups: u64,
-    /// Found in memory.
-    pub hits: u64,
-    /// Not in memory, whoever read them then.
-    pub misses: u64,
-    /// Misses that another reader's read answered.
-    pub coalesced_waits: u64,
-    /// Reads that failed.
-    pub failed_reads: u64,
-    /// Pages given up for others, or for a smaller budget.
-    pub evictions: u64,
-    /// Pages larger than the whole budget: read, handed out, not kept.
-    pub uncached: u64,
-    /// From disk.
-    pub bytes_read: u64,
-    /// Of decoded texels.
-    pub bytes_decoded: u64,
-    /// Spent waiting for the disk, summed over readers.
-    pub read_nanos: u64,
-    /// Spent checking and unpacking, summed over readers.
-    pub decode_nanos: u64,
-    /// Pages held now.
-    pub resident_pages: u64,
-    /// Bytes held now; never above the budget.
-    pub resident_bytes: u64,
-    /// Most bytes ever held at once.
-    pub peak_bytes: u64,
-    /// Bytes that may be held.
-    pub budget_bytes: u64,
+/// What a cache begins with; all of it can be changed while it serves.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct CacheOptions {
+    /// Most bytes of decoded pages ([`Page::resident_bytes`]).
+    pub decoded_bytes: u64,
+    /// Most bytes of compressed blocks; 0 turns the tier off.
+    pub compressed_bytes: u64,
+    /// Order of eviction of decoded pages.
+    pub decoded_policy: PolicyKind,
+    /// Order of eviction of compressed blocks.
+    pub compressed_policy: PolicyKind,
+    /// For datasets that have none of their own.
+    pub strategy: ReadStrategy,
 }
 
-/// A shared cache of decoded pages of any number of versions. What callers still hold of evicted pages is not counted.
-#[derive(Debug)]
-pub struct Cache {
-    state: Mutex<State>,
-}
-
-#[derive(Debug)]
-struct State {
-    stats: CacheStats,
-    /// `[version slot][page]`; as long as the pages that were asked for.
-    table: Vec<Vec<Place>>,
-    frames: Vec<Option<Frame>>,
-    free: Vec<u32>,
-    order: Lru,
-}
-
-/// Where a page is.
-#[derive(Debug, Clone, Default)]
-enum Place {
-    #[default]
-    Absent,
-    Loading(Arc<Flight>),
-    Frame(u32),
-}
-
-/// A resident page.
-#[derive(Debug)]
-struct Frame {
-    key: Key,
-    page: Arc<Page>,
-}
-
-#[derive(Debug, Clone, Copy)]
-struct Key {
-    slot: u32,
-    page: PageId,
-}
-
-/// One read that others wait on.
-#[derive(Debug, Default)]
-struct Flight {
-    outcome: Mutex<Option<Outcome>>,
-    landed: Condvar,
-}
-
-#[derive(Debug, Clone)]
-enum Outcome {
-    Landed(Result<Arc<Page>, StoreError>),
-    /// The reader panicked: whoever waits tries again.
-    Lost,
-}
-
-impl Flight {
-    fn land(&self, outcome: Outcome) {
-        *self.outcome.lock().unwrap_or_else(PoisonError::into_inner) = Some(outcome);
-        self.landed.notify_all();
-    }
-
-    fn wait(&self) -> Outcome {
-        let mut outcome = self.outcome.lock().unwrap_or_else(PoisonError::into_inner);
-        loop {
-            if let Some(outcome) = &*outcome {
-                return outcome.clone();
-            }
-            outcome = self.landed.wait(outcome).unwrap_or_else(PoisonError::into_inner);
+impl CacheOptions {
+    /// Decoded pages only, least recently used, in blocks where single texels are asked for.
+    pub fn decoded(decoded_bytes: u64) -> Self {
+        Self {
+            decoded_bytes,
+            compressed_bytes: 0,
+            decoded_policy: PolicyKind::Lru,
+            compressed_policy: PolicyKind::Lru,
+            strategy: ReadStrategy::Block,
         }
     }
 }
 
+/// A shared cache of pages of any number of versions. What callers still hold of evicted pages is not counted.
+#[derive(Debug)]
+pub struct Cache {
+    table: Table,
+    stripes: Stripes,
+    residency: Mutex<Residency>,
+    compressed: CompressedTier,
+    strategies: Mutex<Strategies>,
+    is_recording: AtomicBool,
+    recorder: Mutex<Option<Recorder>>,
+}
+
+#[derive(Debug)]
+struct Strategies {
+    default: ReadStrategy,
+    of_dataset: BTreeMap<String, ReadStrategy>,
+}
+
+impl Strategies {
+    fn of(&self, dataset: &str) -> ReadStrategy {
+        self.of_dataset.get(dataset).copied().unwrap_or(self.default)
+    }
+}
+
+/// Rows from the cache, and what they cost: None where no one had to read.
+struct Obtained {
+    chunk: Arc<Chunk>,
+    cost: Option<ReadCost>,
+}
+
 impl Cache {
-    /// Holds at most `budget_bytes` of pages ([`Page::resident_bytes`]).
-    pub fn new(budget_bytes: u64) -> Self {
-        let stats = CacheStats { budget_bytes, ..CacheStats::default() };
-        let state = State { stats, table: Vec::new(), frames: Vec::new(), free: Vec::new(), order: Lru::new() };
-        Self { state: Mutex::new(state) }
+    /// Empty.
+    pub fn new(options: CacheOptions) -> Self {
+        Self {
+            table: Table::new(),
+            stripes: Stripes::new(),
+            residency: Mutex::new(Residency::new(options.decoded_bytes, options.decoded_policy)),
+            compressed: CompressedTier::new(options.compressed_bytes, options.compressed_policy),
+            strategies: Mutex::new(Strategies { default: options.strategy, of_dataset: BTreeMap::new() }),
+            is_recording: AtomicBool::new(false),
+            recorder: Mutex::new(None),
+        }
     }
 
     /// The page, from memory or disk. While one caller reads a page, others who want it wait for that read, its error included.
@@ -130,179 +125,297 @@ impl Cache {
 
     /// The same, and what it cost: None when the page was in memory, nothing read when another caller's read answered.
     pub fn page_with_cost(&self, version: &Arc<DatasetVersion>, page: PageId) -> Result<(Arc<Page>, Option<ReadCost>), StoreError> {
-        if page.0 >= version.page_count() {
-            // The version says it best; a page that cannot exist gets no place in the table.
+        let table = self.table(version);
+        let Some(slots) = table.page(page) else {
+            // The version says it best.
             return version.read_page_with_cost(page).map(|(page, cost)| (Arc::new(page), Some(cost)));
-        }
-        let mut cost = None;
-        let read = || {
-            let (page, read_cost) = version.read_page_with_cost(page)?;
-            cost = Some(read_cost);
-            Ok((page, read_cost))
         };
-        let (page, was_resident) = self.page_with(Key { slot: version.slot(), page }, read)?;
-        Ok((page, if was_resident { None } else { Some(cost.unwrap_or_default()) }))
+        self.record(version, TraceEvent::Page { version: 0, page });
+        if let Some(chunk) = slots.whole.get().filter(|chunk| chunk.is_whole()) {
+            self.count_page_hit(table, &chunk);
+            return Ok((chunk.page.clone(), None));
+        }
+        let mut is_miss = false;
+        let mut on_miss = || {
+            is_miss = true;
+            self.stripes.count(table.slot, |c| {
+                c.look_ups += 1;
+                c.misses += 1;
+                c.page_visits += 1;
+                c.visit_misses += 1;
+            });
+        };
+        let miss = Miss { version, slots, part: Part::Whole, want: Want::WholePage, strategy: table.strategy() };
+        let obtained = self.obtain(&miss, &mut on_miss)?;
+        if !is_miss {
+            // It came between the two looks.
+            self.count_page_hit(table, &obtained.chunk);
+        }
+        Ok((obtained.chunk.page.clone(), obtained.cost))
     }
 
-    // The page, and whether it was in memory.
-    fn page_with(&self, key: Key, read: impl FnOnce() -> Result<(Page, ReadCost), StoreError>) -> Result<(Arc<Page>, bool), StoreError> {
-        let mut state = self.state();
-        state.stats.look_ups += 1;
-        if let Place::Frame(frame) = *state.place(key) {
-            state.stats.hits += 1;
-            state.order.touch(frame);
-            let resident = state.frames[frame as usize].as_ref().expect("a page's frame is occupied");
-            return Ok((resident.page.clone(), true));
+    fn count_page_hit(&self, table: &VersionTable, chunk: &Chunk) {
+        let is_full = self.stripes.count_uses(table.slot, &[chunk.ticket], |c| {
+            c.look_ups += 1;
+            c.hits += 1;
+            c.page_visits += 1;
+        });
+        if is_full {
+            self.try_tell_policy();
         }
-        state.stats.misses += 1;
+    }
+
+    /// Texels of a version, for one thread.
+    pub fn reader<'a>(&'a self, version: &'a Arc<DatasetVersion>) -> Reader<'a> {
+        Reader::new(self, version, self.table(version).clone())
+    }
+
+    /// Brings a page that will be wanted soon, whole, and says whether it had to be read. Counted as a prefetch, not as a look-up; who
+    /// asks for the page meanwhile waits for this read.
+    pub fn prefetch(&self, version: &Arc<DatasetVersion>, page: PageId) -> Result<bool, StoreError> {
+        let table = self.table(version);
+        let Some(slots) = table.page(page) else { return version.read_page(page).map(|_| true) };
+        let mut is_miss = false;
+        let miss = Miss { version, slots, part: Part::Whole, want: Want::WholePage, strategy: table.strategy() };
+        self.obtain(&miss, &mut || is_miss = true)?;
+        if is_miss {
+            self.stripes.count(table.slot, |c| c.prefetches += 1);
+        }
+        Ok(is_miss)
+    }
+
+    /// A rendered frame begins: some policies work by frames, and recordings mark them.
+    pub fn begin_frame(&self) {
+        self.told_residency().begin_frame();
+        self.compressed.begin_frame();
+        if self.is_recording.load(Ordering::Relaxed)
+            && let Some(recorder) = &mut *self.recorder()
+        {
+            recorder.push(TraceEvent::Frame);
+        }
+    }
+
+    /// The part that was asked for, read if need be. `on_miss` is called once, before anything takes time.
+    fn obtain(&self, miss: &Miss<'_>, on_miss: &mut dyn FnMut()) -> Result<Obtained, StoreError> {
+        let slot = miss
+            .slots
+            .slot(miss.part)
+            .ok_or_else(|| StoreError::NotFound { what: format!("rows so far down page {}", miss.slots.page) })?;
+        let mut is_miss = false;
         loop {
-            match state.place(key).clone() {
-                Place::Frame(frame) => {
-                    // Another reader brought it while this one waited on a lost read.
-                    state.stats.coalesced_waits += 1;
-                    let resident = state.frames[frame as usize].as_ref().expect("a page's frame is occupied");
-                    return Ok((resident.page.clone(), false));
-                }
-                Place::Loading(flight) => {
-                    state.stats.coalesced_waits += 1;
-                    drop(state);
-                    match flight.wait() {
-                        Outcome::Landed(result) => return result.map(|page| (page, false)),
-                        Outcome::Lost => {
-                            state = self.state();
-                            state.stats.coalesced_waits -= 1;
-                        }
+            let found = slot.look(|chunk| miss.want.is_met_by(chunk));
+            if !matches!(found, Found::Value(_)) && !is_miss {
+                is_miss = true;
+                on_miss();
+            }
+            match found {
+                Found::Value(chunk) if !is_miss => return Ok(Obtained { chunk, cost: None }),
+                Found::Value(chunk) => return self.answered_by_another(miss, Ok(chunk)),
+                Found::Theirs(flight) => {
+                    let started = Instant::now();
+                    let outcome = flight.wait();
+                    let nanos = started.elapsed().as_nanos() as u64;
+                    self.stripes.count(miss.slots.version, |c| c.wait_nanos += nanos);
+                    match outcome {
+                        Outcome::Landed(Ok(chunk)) if !miss.want.is_met_by(&chunk) => {}
+                        Outcome::Landed(result) => return self.answered_by_another(miss, result),
+                        Outcome::Lost => {}
                     }
                 }
-                Place::Absent => {
-                    let flight = Arc::new(Flight::default());
-                    *state.place(key) = Place::Loading(flight.clone());
-                    drop(state);
-                    let reading = Reading { cache: self, key, flight, outcome: Outcome::Lost };
-                    return reading.finish(read()).map(|page| (page, false));
+                Found::Mine(flight, resident) => {
+                    let reading = Reading { slot, flight, outcome: Outcome::Lost };
+                    return reading.finish(self.read_and_keep(miss, resident.as_deref()));
                 }
             }
         }
     }
 
-    /// The counters, all of the same moment.
+    fn answered_by_another(&self, miss: &Miss<'_>, result: Result<Arc<Chunk>, StoreError>) -> Result<Obtained, StoreError> {
+        self.stripes.count(miss.slots.version, |c| c.coalesced_waits += 1);
+        result.map(|chunk| Obtained { chunk, cost: Some(ReadCost::default()) })
+    }
+
+    fn read_and_keep(&self, miss: &Miss<'_>, resident: Option<&Chunk>) -> Result<Obtained, StoreError> {
+        let version = miss.slots.version;
+        let (arriving, cost) = match miss.read(&self.compressed, resident) {
+            Ok(read) => read,
+            Err(error) => {
+                self.stripes.count(version, |c| c.failed_reads += 1);
+                return Err(error);
+            }
+        };
+        let kept = self.told_residency().keep(miss.slots, miss.part, &arriving);
+        self.stripes.count(version, |c| {
+            c.count(&cost);
+            c.uncached += u64::from(kept.is_none());
+        });
+        Ok(Obtained { chunk: kept.unwrap_or_else(|| arriving.unkept()), cost: Some(cost) })
+    }
+
+    /// The counters and sizes of decoded pages of all versions. Each thread's counters are of one moment, so
+    /// `look_ups = hits + misses` holds at any time.
     pub fn stats(&self) -> CacheStats {
-        self.state().stats
+        let sums = self.stripes.sum();
+        let residency = self.residency();
+        let mut total = CacheStats::default();
+        sums.iter().for_each(|sum| total.add_events(sum));
+        with_sizes(total, &residency, residency.total(), residency.peak_bytes)
     }
 
-    /// Forgets every page; who holds one keeps it. Counted as evictions.
+    /// Every counter of every tier and version.
+    pub fn snapshot(&self) -> CacheSnapshot {
+        let sums = self.stripes.sum();
+        let (compressed, compressed_policy) = self.compressed.stats();
+        let residency = self.residency();
+        let versions = self.table.versions().map(|table| VersionStats {
+            dataset: table.dataset.clone(),
+            version: table.version,
+            strategy: table.strategy(),
+            decoded: with_sizes(sums.get(table.slot as usize).copied().unwrap_or_default(), &residency, residency.share(table.slot), 0),
+        });
+        let versions = versions.collect();
+        let mut total = CacheStats::default();
+        sums.iter().for_each(|sum| total.add_events(sum));
+        let decoded = with_sizes(total, &residency, residency.total(), residency.peak_bytes);
+        CacheSnapshot { decoded, decoded_policy: residency.kind(), compressed, compressed_policy, versions }
+    }
+
+    /// Forgets every page and block; who holds one keeps it. Counted as evictions.
     pub fn clear(&self) {
-        self.state().evict_down_to(0);
+        self.told_residency().clear();
+        self.compressed.clear();
     }
 
-    /// Changes the budget; pages that no longer fit leave at once.
+    /// Changes the budget of decoded pages; those that no longer fit leave at once.
     pub fn set_budget(&self, budget_bytes: u64) {
-        let mut state = self.state();
-        state.stats.budget_bytes = budget_bytes;
-        state.evict_down_to(budget_bytes);
+        self.told_residency().set_budget(budget_bytes);
     }
 
-    fn state(&self) -> MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    /// Changes the budget of compressed blocks; 0 turns the tier off.
+    pub fn set_compressed_budget(&self, budget_bytes: u64) {
+        self.compressed.set_budget(budget_bytes);
+    }
+
+    /// Changes the order of eviction of decoded pages; nothing leaves for that.
+    pub fn set_policy(&self, kind: PolicyKind) {
+        self.told_residency().set_policy(kind);
+    }
+
+    /// Changes the order of eviction of compressed blocks.
+    pub fn set_compressed_policy(&self, kind: PolicyKind) {
+        self.compressed.set_policy(kind);
+    }
+
+    /// Changes how misses are read for a dataset's versions, or, with None, for all that have no strategy of their own.
+    pub fn set_strategy(&self, dataset: Option<&str>, strategy: ReadStrategy) {
+        let mut strategies = self.strategies();
+        match dataset {
+            Some(dataset) => {
+                strategies.of_dataset.insert(dataset.into(), strategy);
+            }
+            None => strategies.default = strategy,
+        }
+        for table in self.table.versions() {
+            table.set_strategy(strategies.of(&table.dataset));
+        }
+    }
+
+    /// How a dataset's misses are read.
+    pub fn strategy(&self, dataset: &str) -> ReadStrategy {
+        self.strategies().of(dataset)
+    }
+
+    /// Records requests from now on, in at most so much memory; a recording under way is thrown away. Readers made before do not take
+    /// part.
+    pub fn start_recording(&self, limit_bytes: usize) {
+        *self.recorder() = Some(Recorder::new(limit_bytes));
+        self.is_recording.store(true, Ordering::Relaxed);
+    }
+
+    /// What was recorded; None if nothing was started. Requests that readers still hold back are lost: drop them first.
+    pub fn stop_recording(&self) -> Option<Trace> {
+        self.is_recording.store(false, Ordering::Relaxed);
+        self.recorder().take().map(Recorder::finish)
+    }
+
+    fn record(&self, version: &DatasetVersion, event: TraceEvent) {
+        if self.is_recording.load(Ordering::Relaxed) {
+            self.record_all(version, [event]);
+        }
+    }
+
+    /// Events whose version's number is filled in here.
+    fn record_all(&self, version: &DatasetVersion, events: impl IntoIterator<Item = TraceEvent>) {
+        let Some(recorder) = &mut *self.recorder() else { return };
+        let index = recorder.index_of(version);
+        for event in events {
+            recorder.push(match event {
+                TraceEvent::Frame => event,
+                TraceEvent::Row { page, row, fetches, .. } => TraceEvent::Row { version: index, page, row, fetches },
+                TraceEvent::Page { page, .. } => TraceEvent::Page { version: index, page },
+            });
+        }
+    }
+
+    fn table(&self, version: &DatasetVersion) -> &Arc<VersionTable> {
+        self.table.version(version, || self.strategies().of(&version.manifest().dataset))
+    }
+
+    fn residency(&self) -> MutexGuard<'_, Residency> {
+        self.residency.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The policy's lock, with every use noted so far told.
+    fn told_residency(&self) -> MutexGuard<'_, Residency> {
+        let mut residency = self.residency();
+        self.stripes.drain(|ticket| residency.touch(ticket));
+        residency
+    }
+
+    /// Without waiting: a hit never does.
+    fn try_tell_policy(&self) {
+        if let Ok(mut residency) = self.residency.try_lock() {
+            self.stripes.drain(|ticket| residency.touch(ticket));
+        }
+    }
+
+    fn strategies(&self) -> MutexGuard<'_, Strategies> {
+        self.strategies.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn recorder(&self) -> MutexGuard<'_, Option<Recorder>> {
+        self.recorder.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-/// The one read of a missing page; lets the waiters go however it ends.
+fn with_sizes(events: CacheStats, residency: &Residency, share: residency::Share, peak_bytes: u64) -> CacheStats {
+    CacheStats {
+        evictions: share.evictions,
+        resident_pages: share.pages,
+        resident_bytes: share.bytes,
+        peak_bytes,
+        budget_bytes: residency.budget,
+        ..events
+    }
+}
+
+/// The one read of a missing part; lets the waiters go however it ends.
 struct Reading<'a> {
-    cache: &'a Cache,
-    key: Key,
-    flight: Arc<Flight>,
-    outcome: Outcome,
+    slot: &'a ChunkSlot,
+    flight: Arc<Flight<Arc<Chunk>, StoreError>>,
+    outcome: Outcome<Arc<Chunk>, StoreError>,
 }
 
 impl Reading<'_> {
-    fn finish(mut self, read: Result<(Page, ReadCost), StoreError>) -> Result<Arc<Page>, StoreError> {
-        let mut state = self.cache.state();
-        let result = match read {
-            Ok((page, cost)) => {
-                let page = Arc::new(page);
-                state.count(&cost);
-                state.keep(self.key, &page);
-                Ok(page)
-            }
-            Err(error) => {
-                state.stats.failed_reads += 1;
-                *state.place(self.key) = Place::Absent;
-                Err(error)
-            }
-        };
-        drop(state);
-        self.outcome = Outcome::Landed(result.clone());
+    fn finish(mut self, result: Result<Obtained, StoreError>) -> Result<Obtained, StoreError> {
+        self.outcome = Outcome::Landed(result.as_ref().map(|obtained| obtained.chunk.clone()).map_err(Clone::clone));
         result
     }
 }
 
 impl Drop for Reading<'_> {
     fn drop(&mut self) {
-        if matches!(self.outcome, Outcome::Lost) {
-            *self.cache.state().place(self.key) = Place::Absent;
-        }
-        self.flight.land(self.outcome.clone());
-    }
-}
-
-impl State {
-    fn place(&mut self, key: Key) -> &mut Place {
-        let (slot, page) = (key.slot as usize, key.page.0 as usize);
-        if self.table.len() <= slot {
-            self.table.resize_with(slot + 1, Vec::new);
-        }
-        let pages = &mut self.table[slot];
-        if pages.len() <= page {
-            pages.resize(page + 1, Place::Absent);
-        }
-        &mut pages[page]
-    }
-
-    fn count(&mut self, cost: &ReadCost) {
-        self.stats.bytes_read += cost.bytes_read;
-        self.stats.bytes_decoded += cost.bytes_decoded;
-        self.stats.read_nanos += cost.read_nanos;
-        self.stats.decode_nanos += cost.decode_nanos;
-    }
-
-    /// Makes room, then takes the page in: the budget holds at every step.
-    fn keep(&mut self, key: Key, page: &Arc<Page>) {
-        let bytes = page.resident_bytes() as u64;
-        if bytes > self.stats.budget_bytes {
-            self.stats.uncached += 1;
-            *self.place(key) = Place::Absent;
-            return;
-        }
-        self.evict_down_to(self.stats.budget_bytes - bytes);
-        let frame = Frame { key, page: page.clone() };
-        let index = match self.free.pop() {
-            Some(index) => {
-                self.frames[index as usize] = Some(frame);
-                index
-            }
-            None => {
-                self.frames.push(Some(frame));
-                self.frames.len() as u32 - 1
-            }
-        };
-        self.order.insert(index, PageKey(0), bytes);
-        *self.place(key) = Place::Frame(index);
-        self.stats.resident_pages += 1;
-        self.stats.resident_bytes += bytes;
-        self.stats.peak_bytes = self.stats.peak_bytes.max(self.stats.resident_bytes);
-    }
-
-    fn evict_down_to(&mut self, bytes: u64) {
-        while self.stats.resident_bytes > bytes {
-            let victim = self.order.evict().expect("resident bytes belong to pages in the order");
-            let frame = self.frames[victim as usize].take().expect("a page in the order has a frame");
-            self.free.push(victim);
-            *self.place(frame.key) = Place::Absent;
-            self.stats.evictions += 1;
-            self.stats.resident_pages -= 1;
-            self.stats.resident_bytes -= frame.page.resident_bytes() as u64;
-        }
+        self.slot.finish(&self.flight, self.outcome.clone());
     }
 }
 

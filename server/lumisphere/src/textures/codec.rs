@@ -193,15 +193,15 @@ const CUT: &str = "the segment ends before them";
 const CHANGED: &str = "checksum mismatch";
 
 /// What decoding is given: a page's header, and its compressed blocks where they are at hand.
-pub(super) struct Source<'a> {
+pub(super) struct Source<'s, 'a> {
     pub codec: Codec,
     pub shape: PageShape,
-    pub table: &'a [Block],
+    pub table: &'s [Block],
     /// Compressed bytes of a block of [`Codec::blocks_for`]; None where the file ends before.
-    pub packed: &'a dyn Fn(u32) -> Option<&'a [u8]>,
+    pub packed: &'s dyn Fn(u32) -> Option<&'a [u8]>,
 }
 
-impl<'a> Source<'a> {
+impl<'a> Source<'_, 'a> {
     /// A block's bytes, once they are known to be what was written.
     fn checked(&self, index: u32) -> Result<&'a [u8], BadBlock> {
         let bytes = (self.packed)(index).ok_or_else(|| self.bad(index, CUT))?;
@@ -216,7 +216,7 @@ impl<'a> Source<'a> {
 }
 
 /// Some rows of a page, not empty and within it, as a page of that height.
-pub(super) fn decode(source: &Source<'_>, rows: Range<u32>) -> Result<Page, BadBlock> {
+pub(super) fn decode(source: &Source<'_, '_>, rows: Range<u32>) -> Result<Page, BadBlock> {
     let mut texels = match source.shape.pixel {
         PixelFormat::F32 => Texels::F32(Vec::new()),
         PixelFormat::F16 => Texels::F16(Vec::new()),

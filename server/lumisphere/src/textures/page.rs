@@ -85,6 +85,11 @@ impl PageShape {
         self.row_values() * self.height as usize
     }
 
+    /// What holding a page of this shape in memory costs, its own fields included.
+    pub fn resident_bytes(&self) -> usize {
+        size_of::<Page>() + self.decoded_bytes()
+    }
+
     /// Bytes of the decoded page.
     pub fn decoded_bytes(&self) -> usize {
         self.values() * self.pixel.bytes()
@@ -155,6 +160,45 @@ impl Page {
         texel
     }
 
+    /// The texels (x, y), (x+1, y), (x, y+1), (x+1, y+1), for interpolation. Outside the page is a caller's bug and panics.
+    #[inline]
+    pub fn footprint(&self, x: u32, y: u32) -> [[f32; 4]; 4] {
+        let channels = self.shape.channels as usize;
+        let (row, first) = (self.shape.row_values(), y as usize * self.shape.row_values() + x as usize * channels);
+        assert!(x + 1 < self.shape.width, "columns {x} and {} of a page {} wide", x + 1, self.shape.width);
+        let mut texels = [[0.0; 4]; 4];
+        for (pair, start) in texels.as_chunks_mut::<2>().0.iter_mut().zip([first, first + row]) {
+            match &self.texels {
+                Texels::F32(v) => {
+                    let both = &v[start..start + 2 * channels];
+                    for (texel, numbers) in pair.iter_mut().zip(both.chunks_exact(channels)) {
+                        for (channel, number) in texel.iter_mut().zip(numbers) {
+                            *channel = *number;
+                        }
+                    }
+                }
+                Texels::F16(v) => {
+                    let both = &v[start..start + 2 * channels];
+                    for (texel, numbers) in pair.iter_mut().zip(both.chunks_exact(channels)) {
+                        numbers.convert_to_f32_slice(&mut texel[..channels]);
+                    }
+                }
+            }
+        }
+        texels
+    }
+
+    /// These rows with those of `below` under them, of the same width and format.
+    pub(super) fn with_rows_below(&self, below: &Self) -> Self {
+        let shape = PageShape { height: self.shape.height + below.shape.height, ..self.shape };
+        let texels = match (&self.texels, &below.texels) {
+            (Texels::F32(upper), Texels::F32(lower)) => Texels::F32([&upper[..], &lower[..]].concat()),
+            (Texels::F16(upper), Texels::F16(lower)) => Texels::F16([&upper[..], &lower[..]].concat()),
+            _ => unreachable!("rows of one page have one format"),
+        };
+        Self::new(shape, texels)
+    }
+
     /// Appends row `y`'s width · channels numbers to `out`.
     pub fn extend_row(&self, y: u32, out: &mut Vec<f32>) {
         let count = self.shape.row_values();
@@ -201,6 +245,6 @@ impl Page {
 
     /// What holding the page in memory costs, its own fields included.
     pub fn resident_bytes(&self) -> usize {
-        size_of::<Self>() + self.shape.decoded_bytes()
+        self.shape.resident_bytes()
     }
 }

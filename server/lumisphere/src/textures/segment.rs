@@ -27,7 +27,7 @@ pub const MAX_SEGMENT_BYTES: u64 = 256 << 20;
 const MAGIC: [u8; 4] = *b"LSPG";
 const RECORD_VERSION: u16 = 1;
 /// Bytes of a header before its block table.
-pub(super) const FIXED_BYTES: usize = 40;
+const FIXED_BYTES: usize = 40;
 const ENTRY_BYTES: usize = 16;
 /// Records start at multiples of this, which bounds the search for the next one behind a damaged header.
 const ALIGNMENT: u64 = 8;
@@ -56,7 +56,8 @@ pub(super) struct Header {
 }
 
 impl Header {
-    fn bytes(&self) -> usize {
+    /// On disk, block table included.
+    pub fn bytes(&self) -> usize {
         FIXED_BYTES + self.blocks.len() * ENTRY_BYTES
     }
 
@@ -305,9 +306,9 @@ impl BadRecord {
 }
 
 /// Decodes the whole page from the bytes of its record; `record` may be shorter than the record if the file ends before.
-pub(super) fn decode_record(record: &[u8], page: PageId, checksum: u64) -> Result<Page, BadRecord> {
+pub(super) fn decode_record(record: &[u8], page: PageId, checksum: u64) -> Result<(Page, Header), BadRecord> {
     let header = expected_header(record, page, checksum)?;
-    decode_rows(&header, 0..header.shape.height, record, 0)
+    Ok((decode_rows(&header, 0..header.shape.height, record, 0)?, header))
 }
 
 /// The header of the record that the index promised.
@@ -325,14 +326,18 @@ pub(super) fn decode_rows(header: &Header, rows: Range<u32>, bytes: &[u8], first
         let range = header.block_range(&header.blocks[index as usize]);
         bytes.get(range.start - first_byte..range.end - first_byte)
     };
-    let source = Source { codec: header.codec, shape: header.shape, table: &header.blocks, packed: &packed };
+    decode_packed(header, rows, &packed)
+}
+
+/// The same from blocks that lie anywhere.
+pub(super) fn decode_packed<'a>(header: &Header, rows: Range<u32>, packed: &dyn Fn(u32) -> Option<&'a [u8]>) -> Result<Page, BadRecord> {
+    let source = Source { codec: header.codec, shape: header.shape, table: &header.blocks, packed };
     codec::decode(&source, rows).map_err(|bad| BadRecord { rows: Some(bad.rows), reason: bad.reason })
 }
 
-/// Bytes of the header that starts with `fixed`; at least what is given, for a header that is cut.
-pub(super) fn header_bytes(fixed: &[u8]) -> usize {
-    let blocks = fixed.get(24..28).map_or(0, |b| u32::from_le_bytes(b.try_into().expect("four bytes")) as usize);
-    FIXED_BYTES.saturating_add(blocks.saturating_mul(ENTRY_BYTES))
+/// Bytes of the header of a page with so many blocks.
+pub(super) fn header_bytes(blocks: u32) -> usize {
+    FIXED_BYTES + blocks as usize * ENTRY_BYTES
 }
 
 /// Where the packed bytes of `blocks` lie within the record.

@@ -9,12 +9,13 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Instant;
 
+use super::codec::{BLOCK_ROWS, block_rows};
 use super::disk::Disk;
 use super::error::{At, StoreError};
 use super::hash::ContentHash;
 use super::manifest::Manifest;
 use super::page::{Page, PageId};
-use super::segment::{self, BadRecord, Location};
+use super::segment::{self, BadRecord, Header, Location};
 use super::store::Folders;
 
 /// What the store knows of a version whether it is open or not.
@@ -49,8 +50,16 @@ pub struct DatasetVersion {
 /// What one read of a page cost.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct ReadCost {
+    /// Compressed blocks from disk.
+    pub blocks_read: u64,
     /// From disk, headers included.
     pub bytes_read: u64,
+    /// Rows unpacked, those included that were not asked for.
+    pub rows_decoded: u64,
+    /// Rows unpacked that the cache had had before; 0 without a cache.
+    pub rows_redundant: u64,
+    /// Of those rows.
+    pub bytes_redundant: u64,
     /// Of decoded texels.
     pub bytes_decoded: u64,
     /// Waiting for the disk.
@@ -111,20 +120,65 @@ impl DatasetVersion {
 
     /// A whole page, and what reading it cost.
     pub fn read_page_with_cost(&self, page: PageId) -> Result<(Page, ReadCost), StoreError> {
+        self.read_record(page).map(|(decoded, _, cost)| (decoded, cost))
+    }
+
+    /// A whole page and its header, in one read.
+    pub(super) fn read_record(&self, page: PageId) -> Result<(Page, Header, ReadCost), StoreError> {
         let (location, file, path) = self.locate(page)?;
         RECORD.with_borrow_mut(|record| {
             let started = Instant::now();
             record.resize(location.length as usize, 0);
             self.read(file, record, location.offset, page, &path)?;
             let read = Instant::now();
-            let decoded = segment::decode_record(record, page, location.checksum).map_err(|bad| self.damaged(page, bad, path))?;
+            let (decoded, header) = segment::decode_record(record, page, location.checksum).map_err(|bad| self.damaged(page, bad, path))?;
             let cost = ReadCost {
+                blocks_read: header.blocks.len() as u64,
                 bytes_read: record.len() as u64,
+                rows_decoded: u64::from(decoded.shape().height),
                 bytes_decoded: decoded.shape().decoded_bytes() as u64,
                 read_nanos: (read - started).as_nanos() as u64,
                 decode_nanos: read.elapsed().as_nanos() as u64,
+                ..ReadCost::default()
             };
-            Ok((decoded, cost))
+            Ok((decoded, header, cost))
+        })
+    }
+
+    /// A page's header, and how many bytes of the disk it took.
+    pub(super) fn page_header(&self, page: PageId) -> Result<(Header, u64), StoreError> {
+        let (location, file, path) = self.locate(page)?;
+        let header = self.read_header(file, &location, page, &path)?;
+        let bytes = header.bytes() as u64;
+        Ok((header, bytes))
+    }
+
+    /// Appends the compressed bytes of some blocks, unchecked. Where the file ends before, the rows of all of them are named.
+    pub(super) fn read_blocks(&self, page: PageId, header: &Header, blocks: Range<u32>, out: &mut Vec<u8>) -> Result<(), StoreError> {
+        let (location, file, path) = self.locate(page)?;
+        let range = segment::blocks_range(header, blocks.clone());
+        let start = out.len();
+        out.resize(start + range.len(), 0);
+        match self.disk.read_at(file, &mut out[start..], location.offset + range.start as u64) {
+            Err(error) if error.kind() == std::io::ErrorKind::UnexpectedEof => {
+                let rows = block_rows(&header.shape, blocks.start).start..block_rows(&header.shape, blocks.end - 1).end;
+                Err(self.damaged(page, BadRecord { rows: Some(rows), reason: "the segment ends before them" }, path))
+            }
+            result => result.at("read", &path),
+        }
+    }
+
+    /// Checks and decodes some rows from blocks that are at hand.
+    pub(super) fn decode_rows<'a>(
+        &self,
+        page: PageId,
+        header: &Header,
+        rows: Range<u32>,
+        packed: &dyn Fn(u32) -> Option<&'a [u8]>,
+    ) -> Result<Page, StoreError> {
+        segment::decode_packed(header, rows, packed).map_err(|bad| match self.locate(page) {
+            Ok((_, _, path)) => self.damaged(page, bad, path),
+            Err(error) => error,
         })
     }
 
@@ -143,12 +197,11 @@ impl DatasetVersion {
         segment::decode_rows(&header, rows, &bytes, range.start).map_err(|bad| self.damaged(page, bad, path))
     }
 
-    /// Reads the fixed part, which tells how long the block table is, then both.
-    fn read_header(&self, file: &File, location: &Location, page: PageId, path: &Path) -> Result<segment::Header, StoreError> {
-        let mut bytes = vec![0; segment::FIXED_BYTES.min(location.length as usize)];
-        self.read(file, &mut bytes, location.offset, page, path)?;
-        let header_bytes = segment::header_bytes(&bytes).min(location.length as usize);
-        bytes.resize(header_bytes, 0);
+    /// One read, long enough for the tallest page's block table.
+    fn read_header(&self, file: &File, location: &Location, page: PageId, path: &Path) -> Result<Header, StoreError> {
+        let tallest = self.manifest().pages.shapes.iter().map(|s| s.height).max().unwrap_or(0);
+        let most = segment::header_bytes(tallest.div_ceil(BLOCK_ROWS)).min(location.length as usize);
+        let mut bytes = vec![0; most];
         self.read(file, &mut bytes, location.offset, page, path)?;
         segment::expected_header(&bytes, page, location.checksum).map_err(|bad| self.damaged(page, bad, path.into()))
     }

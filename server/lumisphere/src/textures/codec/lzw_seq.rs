@@ -57,7 +57,7 @@ fn feed(decoder: &mut Decoder, input: &[u8], out: &mut [u8]) -> (usize, usize) {
 }
 
 /// Appends exactly the wanted rows; the first of them.
-pub(super) fn unpack(source: &Source<'_>, rows: &Range<u32>, texels: &mut Texels) -> Result<u32, BadBlock> {
+pub(super) fn unpack(source: &Source<'_, '_>, rows: &Range<u32>, texels: &mut Texels) -> Result<u32, BadBlock> {
     let shape = &source.shape;
     let row_bytes = shape.row_values() * shape.pixel.bytes();
     UNPACKER.with_borrow_mut(|(decoder, plain)| {

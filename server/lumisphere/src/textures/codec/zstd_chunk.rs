@@ -24,7 +24,7 @@ pub(super) fn pack(texels: &Texels, page: &mut EncodedPage) {
 }
 
 /// Appends the blocks that `rows` lie in; the first row appended.
-pub(super) fn unpack(source: &Source<'_>, rows: &Range<u32>, texels: &mut Texels) -> Result<u32, BadBlock> {
+pub(super) fn unpack(source: &Source<'_, '_>, rows: &Range<u32>, texels: &mut Texels) -> Result<u32, BadBlock> {
     let shape = &source.shape;
     let blocks = source.codec.blocks_for(rows);
     let first = blocks.start * BLOCK_ROWS;

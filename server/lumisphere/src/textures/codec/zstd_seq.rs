@@ -40,7 +40,7 @@ pub(super) fn pack(texels: &Texels, page: &mut EncodedPage) {
 }
 
 /// Appends the wanted rows and those of their blocks; the first row appended.
-pub(super) fn unpack(source: &Source<'_>, rows: &Range<u32>, texels: &mut Texels) -> Result<u32, BadBlock> {
+pub(super) fn unpack(source: &Source<'_, '_>, rows: &Range<u32>, texels: &mut Texels) -> Result<u32, BadBlock> {
     let shape = &source.shape;
     let needed = source.codec.blocks_for(rows);
     let first = rows.start / super::BLOCK_ROWS;

@@ -58,7 +58,7 @@ fn a_flipped_byte_in_a_block_costs_that_block_only() {
     assert!(error.to_string().starts_with("damaged page 1, rows 16 to 32: checksum mismatch"), "{error}");
     assert_eq!(unreadable_blocks(&version, 3), [(1, 1)]);
     // The rest of the cache's world goes on too.
-    let cache = Cache::new(1 << 20);
+    let cache = Cache::new(CacheOptions::decoded(1 << 20));
     assert!(cache.page(&version, PageId(1)).is_err());
     assert_eq!(cache.page(&version, PageId(2)).unwrap().to_f32(), texels(&small(), 2));
 }

@@ -146,7 +146,7 @@ fn the_cache_reads_a_version_once_and_counts_what_it_cost() {
     let root = tempfile::tempdir().unwrap();
     let (store, _) = open(root.path());
     let version = publish(&store, 3);
-    let cache = Cache::new(1 << 20);
+    let cache = Cache::new(CacheOptions::decoded(1 << 20));
     for _ in 0..2 {
         for page in 0..3 {
             assert_eq!(cache.page(&version, PageId(page)).unwrap().to_f32(), texels(&small(), page));

@@ -1,0 +1,49 @@
+//! What a slot holds: decoded rows, immutable. More rows of the page make a new chunk.
+
+use std::ops::Range;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use crate::textures::page::Page;
+
+/// Names an entry of the order of eviction, also after it has left it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Ticket {
+    pub frame: u32,
+    pub serial: u32,
+}
+
+/// No entry: handed out without being kept.
+pub(super) const UNKEPT: Ticket = Ticket { frame: u32::MAX, serial: 0 };
+
+/// Rows of a page.
+#[derive(Debug)]
+pub(super) struct Chunk {
+    /// The rows, as a page of their height.
+    pub page: Arc<Page>,
+    pub rows: Range<u32>,
+    /// Of the whole page.
+    pub page_height: u32,
+    pub ticket: Ticket,
+    evicted: AtomicBool,
+}
+
+impl Chunk {
+    pub fn new(page: Arc<Page>, rows: Range<u32>, page_height: u32, ticket: Ticket) -> Self {
+        Self { page, rows, page_height, ticket, evicted: AtomicBool::new(ticket == UNKEPT) }
+    }
+
+    pub fn is_whole(&self) -> bool {
+        self.rows == (0..self.page_height)
+    }
+
+    /// Whether the cache has given it up. Who still holds it may use it, but not take it for a hit.
+    #[inline]
+    pub fn is_evicted(&self) -> bool {
+        self.evicted.load(Ordering::Relaxed)
+    }
+
+    pub fn mark_evicted(&self) {
+        self.evicted.store(true, Ordering::Relaxed);
+    }
+}

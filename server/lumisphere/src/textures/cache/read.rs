@@ -1,0 +1,183 @@
+//! What a miss does: finds the compressed blocks in memory or on disk, unpacks what the strategy wants, and counts it.
+
+use std::cell::RefCell;
+use std::ops::Range;
+use std::sync::Arc;
+use std::time::Instant;
+
+use super::chunk::Chunk;
+use super::compressed::CompressedTier;
+use super::residency::Arriving;
+use super::table::{PageSlots, Part};
+use crate::textures::codec::{BLOCK_ROWS, block_rows};
+use crate::textures::error::StoreError;
+use crate::textures::page::Page;
+use crate::textures::read_strategy::ReadStrategy;
+use crate::textures::segment::Header;
+use crate::textures::version::{DatasetVersion, ReadCost};
+
+/// What was asked for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Want {
+    WholePage,
+    Row(u32),
+}
+
+impl Want {
+    pub fn is_met_by(self, chunk: &Chunk) -> bool {
+        match self {
+            Self::WholePage => chunk.is_whole(),
+            Self::Row(row) => chunk.rows.contains(&row),
+        }
+    }
+}
+
+/// One miss: where, what, how.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Miss<'a> {
+    pub version: &'a DatasetVersion,
+    pub slots: &'a Arc<PageSlots>,
+    pub part: Part,
+    pub want: Want,
+    pub strategy: ReadStrategy,
+}
+
+thread_local! {
+    // Compressed blocks under decoding: reused, so that a miss allocates only what it returns.
+    static PACKED: RefCell<Vec<u8>> = const { RefCell::new(Vec::new()) };
+}
+
+impl Miss<'_> {
+    /// Reads and decodes; `resident` is what the slot has already.
+    pub fn read(&self, compressed: &CompressedTier, resident: Option<&Chunk>) -> Result<(Arriving, ReadCost), StoreError> {
+        if self.want == Want::WholePage && resident.is_none() && !compressed.is_on() {
+            return self.read_whole_record();
+        }
+        let mut cost = ReadCost::default();
+        let header = self.header(&mut cost)?;
+        let rows = self.rows(&header)?;
+        let resumed = resident.filter(|r| r.rows.start == 0 && rows.start == 0 && self.strategy.resumes(header.codec, r.rows.end));
+        let from = resumed.map_or(rows.start, |resident| resident.rows.end);
+        let decoded = self.decode(&header, from..rows.end, compressed, &mut cost)?;
+        let page = match resumed {
+            Some(resident) => resident.page.with_rows_below(&decoded),
+            None => decoded,
+        };
+        // Slots of equal size, as in the paper: part of a page takes the page's place, a block only its own.
+        let bytes = if self.part == Part::Whole { header.shape.resident_bytes() } else { page.resident_bytes() };
+        Ok((Arriving { page: Arc::new(page), rows, page_height: header.shape.height, bytes: bytes as u64 }, cost))
+    }
+
+    /// The usual case of a cache of whole pages: one read for header and texels.
+    fn read_whole_record(&self) -> Result<(Arriving, ReadCost), StoreError> {
+        let (page, header, mut cost) = self.version.read_record(self.slots.page)?;
+        let rows = 0..header.shape.height;
+        self.count_redundant(&header, rows.clone(), &mut cost);
+        let _ = self.slots.header.set(Arc::new(header));
+        let (page_height, bytes) = (rows.end, page.resident_bytes() as u64);
+        Ok((Arriving { page: Arc::new(page), rows, page_height, bytes }, cost))
+    }
+
+    fn header(&self, cost: &mut ReadCost) -> Result<Arc<Header>, StoreError> {
+        if let Some(header) = self.slots.header.get() {
+            return Ok(header.clone());
+        }
+        let started = Instant::now();
+        let (header, bytes) = self.version.page_header(self.slots.page)?;
+        cost.bytes_read += bytes;
+        cost.read_nanos += started.elapsed().as_nanos() as u64;
+        Ok(self.slots.header.get_or_init(|| Arc::new(header)).clone())
+    }
+
+    /// The rows to have in the end.
+    fn rows(&self, header: &Header) -> Result<Range<u32>, StoreError> {
+        let height = header.shape.height;
+        let row = match (self.part, self.want) {
+            (Part::Block(block), _) => block * BLOCK_ROWS,
+            (Part::Whole, Want::WholePage) => return Ok(0..height),
+            (Part::Whole, Want::Row(row)) => row,
+        };
+        let asked = if let Want::Row(row) = self.want { row } else { row };
+        if asked >= height {
+            return Err(StoreError::NotFound { what: format!("row {asked} of page {} with {height} rows", self.slots.page) });
+        }
+        Ok(match self.part {
+            Part::Whole => self.strategy.rows_wanted(header.codec, &header.shape, row),
+            Part::Block(block) => block_rows(&header.shape, block),
+        })
+    }
+
+    fn decode(&self, header: &Header, rows: Range<u32>, compressed: &CompressedTier, cost: &mut ReadCost) -> Result<Page, StoreError> {
+        let blocks = header.codec.blocks_for(&rows);
+        let first = blocks.start;
+        let key = |block| self.slots.key(Part::Block(block));
+        let is_on = compressed.is_on();
+        let held: Vec<Option<Arc<[u8]>>> = blocks.clone().map(|block| is_on.then(|| compressed.get(key(block)))?).collect();
+        PACKED.with_borrow_mut(|packed| {
+            packed.clear();
+            let started = Instant::now();
+            let places = self.read_missing(header, blocks.clone(), &held, packed)?;
+            let read = Instant::now();
+            cost.blocks_read += held.iter().filter(|block| block.is_none()).count() as u64;
+            cost.bytes_read += packed.len() as u64;
+            cost.read_nanos += (read - started).as_nanos() as u64;
+            let bytes_of = |block: u32| {
+                let at = (block - first) as usize;
+                held[at].as_deref().or_else(|| packed.get(places[at].clone()))
+            };
+            let page = self.version.decode_rows(self.slots.page, header, rows.clone(), &bytes_of)?;
+            cost.decode_nanos += read.elapsed().as_nanos() as u64;
+            let unpacked = header.codec.unpacked_rows(&header.shape, &rows);
+            cost.rows_decoded += u64::from(unpacked);
+            cost.bytes_decoded += u64::from(unpacked) * row_bytes(header);
+            let end = rows.end.next_multiple_of(header.codec.step_rows()).min(header.shape.height);
+            self.count_redundant(header, end - unpacked..end, cost);
+            // Only what has proved to be intact is kept.
+            if is_on {
+                for (block, _) in blocks.zip(&held).filter(|(_, held)| held.is_none()) {
+                    compressed.keep(key(block), packed[places[(block - first) as usize].clone()].into());
+                }
+            }
+            Ok(page)
+        })
+    }
+
+    /// Reads each run of blocks that are not at hand, in one go; where each block lies in `packed`.
+    fn read_missing(
+        &self,
+        header: &Header,
+        blocks: Range<u32>,
+        held: &[Option<Arc<[u8]>>],
+        packed: &mut Vec<u8>,
+    ) -> Result<Vec<Range<usize>>, StoreError> {
+        let mut places = Vec::with_capacity(held.len());
+        let mut run = blocks.start..blocks.start;
+        for (block, held) in blocks.zip(held) {
+            if held.is_some() {
+                self.read_run(header, run, packed)?;
+                run = block + 1..block + 1;
+                places.push(0..0);
+                continue;
+            }
+            let start = places.iter().map(|p: &Range<usize>| p.end).max().unwrap_or(0);
+            places.push(start..start + header.blocks[block as usize].length as usize);
+            run.end = block + 1;
+        }
+        self.read_run(header, run, packed)?;
+        Ok(places)
+    }
+
+    fn read_run(&self, header: &Header, run: Range<u32>, packed: &mut Vec<u8>) -> Result<(), StoreError> {
+        if run.is_empty() { Ok(()) } else { self.version.read_blocks(self.slots.page, header, run, packed) }
+    }
+
+    fn count_redundant(&self, header: &Header, unpacked: Range<u32>, cost: &mut ReadCost) {
+        let redundant = u64::from(self.slots.count_decoded(unpacked));
+        cost.rows_redundant += redundant;
+        cost.bytes_redundant += redundant * row_bytes(header);
+    }
+}
+
+fn row_bytes(header: &Header) -> u64 {
+    (header.shape.row_values() * header.shape.pixel.bytes()) as u64
+}
