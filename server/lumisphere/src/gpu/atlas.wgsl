@@ -6,10 +6,10 @@ override ATLAS_TEXTURES: u32 = 4u;
 
 const NOT_RESIDENT: u32 = 0xffffffffu;
 
-@group(1) @binding(0) var atlas_0: texture_2d_array<f32>;
-@group(1) @binding(1) var atlas_1: texture_2d_array<f32>;
-@group(1) @binding(2) var atlas_2: texture_2d_array<f32>;
-@group(1) @binding(3) var atlas_3: texture_2d_array<f32>;
+@group(2) @binding(0) var atlas_0: texture_2d_array<f32>;
+@group(2) @binding(1) var atlas_1: texture_2d_array<f32>;
+@group(2) @binding(2) var atlas_2: texture_2d_array<f32>;
+@group(2) @binding(3) var atlas_3: texture_2d_array<f32>;
 
 // Texel (column, row) of a page; zero where the page is not resident. Leaves word that the page was wanted.
 fn page_texel(page: u32, column: u32, row: u32) -> vec3<f32> {

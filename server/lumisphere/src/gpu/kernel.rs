@@ -82,6 +82,13 @@ pub(crate) mod binding {
         texture_of(binding, TextureViewDimension::D2Array)
     }
 
+    /// Whole numbers.
+    pub fn uint_texture(binding: u32) -> BindGroupLayoutEntry {
+        let ty =
+            BindingType::Texture { sample_type: TextureSampleType::Uint, view_dimension: TextureViewDimension::D2, multisampled: false };
+        entry(binding, ty)
+    }
+
     // Read texel by texel, never through a sampler: the bilinear weights are the kernel's own.
     fn texture_of(binding: u32, view_dimension: TextureViewDimension) -> BindGroupLayoutEntry {
         let sample_type = TextureSampleType::Float { filterable: false };

@@ -182,5 +182,5 @@ pub enum RenderError {
 /// Every whole WGSL source of this room, for the test that validates them.
 #[cfg(all(test, feature = "gpu"))]
 pub(crate) fn wgsl_sources() -> &'static [&'static str] {
-    &[g_buffer::G_BUFFER_SOURCE, oslf::KERNEL_SOURCE]
+    &[g_buffer::VISIBILITY_SOURCE, g_buffer::G_BUFFER_SOURCE, g_buffer::RESOLVE_SOURCE, oslf::KERNEL_SOURCE]
 }

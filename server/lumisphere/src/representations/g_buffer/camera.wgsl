@@ -20,6 +20,10 @@ struct Camera {
     environment_sin: f32,
     // +∞, which WGSL cannot write.
     infinity: f32,
+    // Triangles are numbered: the object's, the background's with one colour, those with textures.
+    object_end: u32,
+    plain_end: u32,
+    padding: vec2<u32>,
 }
 
 // Unit direction through the centre of the band's pixel (i, j).

@@ -1,5 +1,5 @@
-// Rasterises object, background and environment into the G-buffer. Twin of trace.rs; the layout of `a` and `b` is in mod.rs.
-// Depth is reversed and infinite: near / depth, cleared to 0, greater wins.
+// Sorts a band's pixels by what they see, and finishes those that do not see the object: background and environment. Twin of trace.rs.
+// Each kind has its own list and its own dispatch, since lanes of a processor would otherwise pay for every kind at every pixel.
 
 struct Material {
     albedo: vec3<f32>,
@@ -18,97 +18,77 @@ struct Level {
     padding: u32,
 }
 
-@group(0) @binding(0) var<uniform> camera: Camera;
-@group(0) @binding(1) var environment: texture_2d<f32>;
-@group(0) @binding(2) var<storage, read> materials: array<Material>;
-@group(0) @binding(3) var<storage, read> levels: array<Level>;
-// R and G, B and nothing, as pairs of f16.
-@group(0) @binding(4) var<storage, read> texels: array<vec2<u32>>;
+struct BackgroundVertex {
+    x: f32, y: f32, z: f32,
+    normal_x: f32, normal_y: f32, normal_z: f32,
+    u: f32, v: f32,
+    material: u32,
+    front_r: f32, front_g: f32, front_b: f32,
+    back_r: f32, back_g: f32, back_b: f32,
+}
 
-// Whether the background's triangles drawn now have textures.
+@group(1) @binding(0) var environment: texture_2d<f32>;
+@group(1) @binding(1) var<storage, read> materials: array<Material>;
+@group(1) @binding(2) var<storage, read> levels: array<Level>;
+// R and G, B and nothing, as pairs of f16.
+@group(1) @binding(3) var<storage, read> texels: array<vec2<u32>>;
+// Three corners a triangle; the first is number `camera.object_end`.
+@group(1) @binding(4) var<storage, read> background_triangles: array<u32>;
+@group(1) @binding(5) var<storage, read> background_vertices: array<BackgroundVertex>;
+
+// Whether the background's triangles shaded now have textures.
 override TEXTURED: bool = false;
 
-const BACKGROUND: f32 = -1.0;
-const NOTHING: f32 = -2.0;
-const UNKNOWN: f32 = -3.0;
 const FRAC_1_PI: f32 = 0.318309886183791;
 const LEAST_COSINE: f32 = 0.05;
+// Pixels that one invocation sorts: it adds to each list once, since lists are shared by all.
+const RUN: u32 = 32u;
 
-struct GBuffer {
-    @location(0) a: vec4<f32>,
-    @location(1) b: vec4<f32>,
+fn list_of(at: vec2<u32>) -> u32 {
+    let seen = visible_triangle(at);
+    let background = select(PLAIN_LIST, TEXTURED_LIST, seen > camera.plain_end);
+    return select(select(OBJECT_LIST, background, seen > camera.object_end), SKY_LIST, seen == 0u);
 }
 
-fn clip_from_world(position: vec3<f32>) -> vec4<f32> {
-    let offset = position - camera.position;
-    let x = dot(camera.right, offset);
-    let y = dot(camera.up, offset);
-    let depth = -dot(camera.backward, offset);
-    let size = vec2<f32>(camera.size);
-    let center = vec2(camera.center.x, camera.center.y - f32(camera.first_row));
-    let column = 2.0 / size.x * (camera.focal_x * x + center.x * depth) - depth;
-    let row = depth - 2.0 / size.y * (center.y * depth - camera.focal_y * y);
-    return vec4(column, row, camera.near, depth);
+fn one_of(list: u32) -> vec4<u32> {
+    return select(vec4(0u), vec4(1u), vec4(list) == vec4(0u, 1u, 2u, 3u));
 }
 
-struct ObjectCorner {
-    @builtin(position) clip: vec4<f32>,
-    @location(0) offset: vec3<f32>,
-    @location(1) normal: vec3<f32>,
-    @location(2) uv: vec2<f32>,
-    @location(3) @interpolate(flat, either) part: u32,
+fn reserve(list: u32, count: u32) -> u32 {
+    let place = atomicAdd(&work.lists[list].count, count);
+    atomicMax(&work.lists[list].groups, (place + count + GROUP_SIZE - 1u) / GROUP_SIZE);
+    return place;
 }
 
-@vertex
-fn object_corner(
-    @location(0) position: vec3<f32>,
-    @location(1) normal: vec3<f32>,
-    @location(2) uv: vec2<f32>,
-    @location(3) part: u32,
-) -> ObjectCorner {
-    return ObjectCorner(clip_from_world(position), position - camera.position, normal, uv, part);
+@compute @workgroup_size(8, 8)
+fn sort_pixels(@builtin(global_invocation_id) id: vec3<u32>) {
+    let first = RUN * id.x;
+    let end = min(first + RUN, camera.size.x);
+    if first >= end || id.y >= camera.size.y {
+        return;
+    }
+    var counts = vec4(0u);
+    for (var column = first; column < end; column++) {
+        counts += one_of(list_of(vec2(column, id.y)));
+    }
+    var places = vec4(reserve(0u, counts.x), reserve(1u, counts.y), reserve(2u, counts.z), reserve(3u, counts.w));
+    for (var column = first; column < end; column++) {
+        let list = list_of(vec2(column, id.y));
+        let one = one_of(list);
+        let own = places * one;
+        work.pixels[list * band_pixels() + own.x + own.y + own.z + own.w] = (id.y << 16u) | column;
+        places += one;
+    }
 }
 
-fn normalize_or(v: vec3<f32>, fallback: vec3<f32>) -> vec3<f32> {
-    let squared = dot(v, v);
-    return select(fallback, v * inverseSqrt(squared), squared > 0.0);
-}
-
-@fragment
-fn object(corner: ObjectCorner, @builtin(front_facing) front: bool) -> GBuffer {
-    let distance = length(corner.offset);
-    let code = select(-4.0 - f32(corner.part), f32(corner.part), front);
-    let normal = normalize_or(corner.normal, -corner.offset / distance);
-    return GBuffer(vec4(corner.uv, code, distance), vec4(normal, 0.0));
-}
-
-struct BackgroundCorner {
-    @builtin(position) clip: vec4<f32>,
-    @location(0) offset: vec3<f32>,
-    @location(1) normal: vec3<f32>,
-    @location(2) uv: vec2<f32>,
-    @location(3) @interpolate(flat, either) material: u32,
-    @location(4) irradiance_front: vec3<f32>,
-    @location(5) irradiance_back: vec3<f32>,
-}
-
-@vertex
-fn background_corner(
-    @location(0) position: vec3<f32>,
-    @location(1) normal: vec3<f32>,
-    @location(2) uv: vec2<f32>,
-    @location(3) material: u32,
-    @location(4) irradiance_front: vec3<f32>,
-    @location(5) irradiance_back: vec3<f32>,
-) -> BackgroundCorner {
-    let offset = position - camera.position;
-    return BackgroundCorner(clip_from_world(position), offset, normal, uv, material, irradiance_front, irradiance_back);
+// −1 … n as 0 … n − 1. (A remainder of integers costs a processor more than all the rest of a pixel.)
+fn wrapped(at: i32, n: u32) -> u32 {
+    let below = select(at, at + i32(n), at < 0);
+    return u32(select(below, below - i32(n), below >= i32(n)));
 }
 
 fn level_texel(level: Level, column: i32, row: i32) -> vec3<f32> {
-    let x = u32(column + i32(level.width)) % level.width;
-    let y = u32(row + i32(level.height)) % level.height;
-    let packed = texels[level.first_texel + y * level.width + x];
+    let packed = texels[level.first_texel + wrapped(row, level.height) * level.width + wrapped(column, level.width)];
     return vec3(unpack2x16float(packed.x), unpack2x16float(packed.y).x);
 }
 
@@ -139,28 +119,55 @@ fn texture_color(first_level: u32, level_count: u32, uv: vec2<f32>, footprint: f
     return fine + fraction * (level_color(first_level + coarser, uv) - fine);
 }
 
-@fragment
-fn background(corner: BackgroundCorner, @builtin(front_facing) front: bool) -> GBuffer {
-    let distance = length(corner.offset);
-    let material = materials[corner.material];
-    let irradiance = select(corner.irradiance_back, corner.irradiance_front, front);
-    var albedo = material.albedo;
-    if TEXTURED {
-        let direction = corner.offset / distance;
-        let cosine = abs(dot(normalize_or(corner.normal, -direction), direction));
-        let footprint = material.texels_per_length * distance * camera.pixel_angle / sqrt(max(cosine, LEAST_COSINE));
-        albedo = texture_color(material.first_level, material.level_count, corner.uv, footprint);
-    }
-    let emission = select(vec3(0.0), material.emission, front);
-    let radiance = emission + albedo * irradiance * FRAC_1_PI;
-    let code = select(BACKGROUND, UNKNOWN, material.unknown == 1u);
-    return GBuffer(vec4(corner.uv, code, distance), vec4(radiance, 0.0));
+struct BackgroundPoint {
+    uv: vec2<f32>,
+    distance: f32,
+    radiance: vec3<f32>,
+    unknown: bool,
 }
 
-// One triangle over the whole band at infinite depth: it shades what nothing else has covered.
-@vertex
-fn sky_corner(@builtin(vertex_index) index: u32) -> @builtin(position) vec4<f32> {
-    return vec4(f32(index & 1u) * 4.0 - 1.0, f32(index >> 1u) * 4.0 - 1.0, 0.0, 1.0);
+fn corner_position(v: BackgroundVertex) -> vec3<f32> {
+    return vec3(v.x, v.y, v.z);
+}
+
+fn corner_normal(v: BackgroundVertex) -> vec3<f32> {
+    return vec3(v.normal_x, v.normal_y, v.normal_z);
+}
+
+fn corner_irradiance(v: BackgroundVertex, front: bool) -> vec3<f32> {
+    return select(vec3(v.back_r, v.back_g, v.back_b), vec3(v.front_r, v.front_g, v.front_b), front);
+}
+
+fn background_point(direction: vec3<f32>, triangle: u32) -> BackgroundPoint {
+    let a = background_vertices[background_triangles[3u * triangle]];
+    let b = background_vertices[background_triangles[3u * triangle + 1u]];
+    let c = background_vertices[background_triangles[3u * triangle + 2u]];
+    let at = meet(direction, corner_position(a), corner_position(b), corner_position(c));
+    let w = at.weights;
+    let uv = w.x * vec2(a.u, a.v) + w.y * vec2(b.u, b.v) + w.z * vec2(c.u, c.v);
+    let irradiance = w.x * corner_irradiance(a, at.front) + w.y * corner_irradiance(b, at.front) + w.z * corner_irradiance(c, at.front);
+    let material = materials[a.material];
+    var albedo = material.albedo;
+    if TEXTURED && material.level_count > 0u {
+        let normal = w.x * corner_normal(a) + w.y * corner_normal(b) + w.z * corner_normal(c);
+        let cosine = abs(dot(normalize_or(normal, -direction), direction));
+        let footprint = material.texels_per_length * at.distance * camera.pixel_angle / sqrt(max(cosine, LEAST_COSINE));
+        albedo = texture_color(material.first_level, material.level_count, uv, footprint);
+    }
+    let emission = select(vec3(0.0), material.emission, at.front);
+    let radiance = emission + albedo * irradiance * FRAC_1_PI;
+    return BackgroundPoint(uv, at.distance, radiance, material.unknown == 1u);
+}
+
+@compute @workgroup_size(64)
+fn background(@builtin(global_invocation_id) id: vec3<u32>) {
+    let list = select(PLAIN_LIST, TEXTURED_LIST, TEXTURED);
+    if id.x >= atomicLoad(&work.lists[list].count) {
+        return;
+    }
+    let at = listed_pixel(list, id.x);
+    let point = background_point(direction_of(at), visible_triangle(at) - 1u - camera.object_end);
+    write_pixel(at, point.radiance, point.distance, select(PROVENANCE_BACKGROUND, PROVENANCE_UNKNOWN, point.unknown));
 }
 
 fn environment_radiance(direction: vec3<f32>) -> vec3<f32> {
@@ -189,8 +196,11 @@ fn environment_radiance(direction: vec3<f32>) -> vec3<f32> {
     return upper + fy * (lower - upper);
 }
 
-@fragment
-fn sky(@builtin(position) position: vec4<f32>) -> GBuffer {
-    let direction = pixel_direction(camera, u32(position.x), u32(position.y));
-    return GBuffer(vec4(0.0, 0.0, NOTHING, camera.infinity), vec4(environment_radiance(direction), 0.0));
+@compute @workgroup_size(64)
+fn sky(@builtin(global_invocation_id) id: vec3<u32>) {
+    if id.x >= atomicLoad(&work.lists[SKY_LIST].count) {
+        return;
+    }
+    let at = listed_pixel(SKY_LIST, id.x);
+    write_pixel(at, environment_radiance(direction_of(at)), camera.infinity, PROVENANCE_BACKGROUND);
 }

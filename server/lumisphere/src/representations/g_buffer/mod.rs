@@ -1,7 +1,8 @@
 //! What each pixel of a frame sees, for kinds that live on a surface: the object's (part, uv, normal, distance), and the finished
 //! colour of everything else. The object is shaded afterwards from here; background and environment shade themselves.
 //!
-//! Twins: `g_buffer.wgsl` rasterises with a depth buffer, `trace.rs` casts a ray through each pixel's centre. Both see a point of a
+//! Twins: `visibility.wgsl` rasterises with a depth buffer, `g_buffer.wgsl` and `object.wgsl` intersect the triangle that a pixel sees with
+//! the ray through its centre; `trace.rs` casts that ray. Both see a point of a
 //! triangle in a pixel if and only if the pixel's central ray meets it no nearer than [`ProxyGeometry::near`] (a plane); they can
 //! differ where the rasteriser's snapping of vertices to 1/256 pixel moves an edge across a pixel's centre.
 //!
@@ -12,6 +13,8 @@
 mod rasterize;
 mod texture_pyramid;
 mod trace;
+#[cfg(feature = "gpu")]
+mod visible_triangles;
 
 use bytemuck::{Pod, Zeroable};
 use glam::{Vec2, Vec3};
@@ -20,10 +23,10 @@ use crate::capture::Background;
 use crate::geometry::{Camera, TriangleMesh};
 use crate::scenes::{Albedo, Environment};
 
-#[cfg(all(test, feature = "gpu"))]
-pub(crate) use rasterize::SOURCE as G_BUFFER_SOURCE;
 #[cfg(feature = "gpu")]
-pub(crate) use rasterize::{G_BUFFER_BYTES_PER_PIXEL, GBufferTargets, Rasterizer};
+pub(crate) use rasterize::{BAND_BYTES_PER_PIXEL, Band, OUTPUT_WORDS, Rasterizer, band_entries};
+#[cfg(all(test, feature = "gpu"))]
+pub(crate) use rasterize::{SOURCE as G_BUFFER_SOURCE, VISIBILITY_SOURCE, resolve::SOURCE as RESOLVE_SOURCE};
 pub(crate) use texture_pyramid::TexturePyramids;
 pub(crate) use trace::GBufferTracer;
 
@@ -267,7 +270,10 @@ mod tests {
                 first_row,
                 environment_cos,
                 environment_sin,
-                infinity
+                infinity,
+                object_end,
+                plain_end,
+                padding
             }
         );
         assert_same_layout!(

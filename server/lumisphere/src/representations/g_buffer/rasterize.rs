@@ -1,19 +1,29 @@
-//! Host side of `g_buffer.wgsl`.
+//! Host side of `visibility.wgsl`, `band.wgsl` and `g_buffer.wgsl`.
+//!
+//! Only triangle numbers are rasterised; everything else is computed once for each pixel that is finally seen. On lavapipe a
+//! triangle costs at least a block of 16 fragments, which is ruinous for the shading of many small ones.
 
-use std::mem::offset_of;
+use std::ops::Range;
 
 use bytemuck::{Pod, Zeroable};
 use glam::Vec3;
 use wgpu::util::DeviceExt;
 
-use super::{BackgroundVertex, ObjectVertex, ProxyGeometry, pixel_angle};
+use super::visible_triangles::{Corner, VisibleTriangles};
+use super::{ProxyGeometry, pixel_angle};
 use crate::geometry::Camera;
 use crate::gpu::{Gpu, GpuError, Shader, binding, storage_buffer, uniform_buffer};
 use crate::scenes::Environment;
 
-/// All of `g_buffer.wgsl`'s source.
-pub(crate) const SOURCE: &str =
-    concat!(include_str!("camera.wgsl"), include_str!("../../directions/lat_long.wgsl"), include_str!("g_buffer.wgsl"));
+/// All of the source of what finishes a band's pixels.
+pub(crate) const SOURCE: &str = concat!(
+    include_str!("camera.wgsl"),
+    include_str!("band.wgsl"),
+    include_str!("../../directions/lat_long.wgsl"),
+    include_str!("g_buffer.wgsl")
+);
+/// All of the rasteriser's source.
+pub(crate) const VISIBILITY_SOURCE: &str = concat!(include_str!("camera.wgsl"), include_str!("visibility.wgsl"));
 
 /// The camera of a band of rows. Layout as WGSL's `Camera`.
 #[derive(Debug, Clone, Copy, Pod, Zeroable)]
@@ -33,44 +43,65 @@ pub(crate) struct CameraUniform {
     pub environment_cos: f32,
     pub environment_sin: f32,
     pub infinity: f32,
+    pub object_end: u32,
+    pub plain_end: u32,
+    pub padding: [u32; 2],
 }
 
 /// Object, background and environment on the device, and the pipelines that draw them.
 pub(crate) struct Rasterizer {
-    pipelines: [Draw; 3],
-    sky: wgpu::RenderPipeline,
+    triangles: VisibleTriangles,
+    visibility: wgpu::RenderPipeline,
+    corners: wgpu::Buffer,
+    indices: wgpu::Buffer,
     camera: wgpu::Buffer,
+    camera_only: wgpu::BindGroup,
+    shader: Shader,
+    sort_pixels: wgpu::ComputePipeline,
+    finish: [(wgpu::ComputePipeline, u32); 3],
     resources: wgpu::BindGroup,
+    object_triangles: wgpu::Buffer,
+    object_vertices: wgpu::Buffer,
     environment_turn: f32,
     near: f32,
     bytes: u64,
 }
 
-// A pipeline and what it draws.
-struct Draw {
-    pipeline: wgpu::RenderPipeline,
-    vertices: wgpu::Buffer,
-    indices: wgpu::Buffer,
-    index_count: u32,
-}
-
-/// The G-buffer of one band, reused while its size stays.
-pub(crate) struct GBufferTargets {
-    /// a and b.
-    pub textures: [wgpu::Texture; 2],
-    pub a_view: wgpu::TextureView,
-    pub b_view: wgpu::TextureView,
+/// What a band of a frame needs, reused while its size stays.
+pub(crate) struct Band {
+    visibility: wgpu::TextureView,
     depth: wgpu::TextureView,
+    work: wgpu::Buffer,
+    // The lists' heads, apart: a buffer cannot be written and be an indirect argument in one dispatch.
+    heads: wgpu::Buffer,
+    output: wgpu::Buffer,
+    resources: wgpu::BindGroup,
+    pub width: u32,
+    pub rows: u32,
 }
 
-/// Of a, b and depth.
-pub(crate) const G_BUFFER_BYTES_PER_PIXEL: u64 = 16 + 16 + 4;
+/// Words of output a pixel: R, G, B, distance, provenance.
+pub(crate) const OUTPUT_WORDS: u64 = 5;
+/// Of visibility, depth, the pixels' lists and output.
+pub(crate) const BAND_BYTES_PER_PIXEL: u64 = 4 + 4 + 4 * LISTS as u64 + 4 * OUTPUT_WORDS;
 
-const COLOR: wgpu::TextureFormat = wgpu::TextureFormat::Rgba32Float;
+const VISIBILITY: wgpu::TextureFormat = wgpu::TextureFormat::R32Uint;
+// As in band.wgsl.
+const LISTS: usize = 4;
+const OBJECT_LIST: u32 = 0;
+const PLAIN_LIST: u32 = 1;
+const TEXTURED_LIST: u32 = 2;
+const SKY_LIST: u32 = 3;
+const LIST_HEAD_BYTES: u64 = 16;
+#[cfg(test)]
+const GROUP_SIZE: u32 = 64;
+// As in g_buffer.wgsl.
+const RUN: u32 = 32;
+const SORT_GROUP: u32 = 8;
 const DEPTH: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
 
 // Beyond these the projection's products leave the range of f32.
-const FOCAL_RANGE_PX: std::ops::Range<f32> = 1e-3..1e9;
+const FOCAL_RANGE_PX: Range<f32> = 1e-3..1e9;
 
 impl CameraUniform {
     /// Rows `first_row`…`first_row + rows − 1` of the camera's image.
@@ -99,226 +130,253 @@ impl CameraUniform {
             environment_cos: environment_turn.cos(),
             environment_sin: environment_turn.sin(),
             infinity: f32::INFINITY,
+            object_end: 0,
+            plain_end: 0,
+            padding: [0; 2],
         })
     }
 }
 
-impl GBufferTargets {
-    pub fn new(gpu: &Gpu, width: u32, height: u32) -> Self {
+impl Rasterizer {
+    pub fn new(gpu: &Gpu, geometry: &ProxyGeometry) -> Result<Self, GpuError> {
+        let triangles = VisibleTriangles::new(geometry);
+        let limit = gpu.device().limits().max_buffer_size;
+        let background = geometry.background_vertices.as_slice();
+        let needed = size_of_val(triangles.corners.as_slice()).max(size_of_val(background)) as u64;
+        if needed > limit {
+            return Err(GpuError::BeyondLimit { what: "the proxy geometry in bytes", needed, limit });
+        }
+        gpu.check_binding("the background's textures", size_of_val(geometry.pyramids.texels.as_slice()) as u64)?;
+        gpu.check_binding("the background's vertices", size_of_val(background) as u64)?;
+        let shader = Shader::new(gpu, "g-buffer", SOURCE, &[&band_entries(), &background_entries()]);
+        let (environment, environment_turn) = environment_texture(gpu, &geometry.environment)?;
+        let none = wgpu::BufferUsages::empty();
+        let buffers = [
+            storage_buffer(gpu, "materials", &geometry.materials, none),
+            storage_buffer(gpu, "levels", &geometry.pyramids.levels, none),
+            storage_buffer(gpu, "texels", &geometry.pyramids.texels, none),
+            storage_buffer(gpu, "background triangles", &triangles.background, none),
+            storage_buffer(gpu, "background vertices", background, none),
+        ];
+        let view = environment.create_view(&wgpu::TextureViewDescriptor::default());
+        let mut resources = vec![wgpu::BindingResource::TextureView(&view)];
+        resources.extend(buffers.iter().map(wgpu::Buffer::as_entire_binding));
+        let resources = shader.bind(gpu, 1, &resources);
+        let object_triangles = storage_buffer(gpu, "object triangles", &geometry.object_triangles, none);
+        let object_vertices = storage_buffer(gpu, "object vertices", &geometry.object_vertices, none);
+        let corners = storage_buffer(gpu, "corners", &triangles.corners, wgpu::BufferUsages::VERTEX);
+        let indices = storage_buffer(gpu, "indices", &triangles.indices, wgpu::BufferUsages::INDEX);
+        let camera = uniform_buffer::<CameraUniform>(gpu, "camera");
+        let visibility_shader = Shader::new(gpu, "visibility", VISIBILITY_SOURCE, &[&[binding::uniform(0)]]);
+        let camera_only = visibility_shader.bind(gpu, 0, &[camera.as_entire_binding()]);
+        let environment_bytes = u64::from(environment.width()) * u64::from(environment.height()) * 16;
+        let counted = buffers.iter().chain([&object_triangles, &object_vertices, &corners, &indices]);
+        let bytes = environment_bytes + counted.map(wgpu::Buffer::size).sum::<u64>();
+        let background = |textured: f64| shader.compute_pipeline(gpu, "background", &[("TEXTURED", textured)]);
+        let finish =
+            [(background(0.0), PLAIN_LIST), (background(1.0), TEXTURED_LIST), (shader.compute_pipeline(gpu, "sky", &[]), SKY_LIST)];
+        let sort_pixels = shader.compute_pipeline(gpu, "sort_pixels", &[]);
+        let visibility = visibility_pipeline(gpu, &visibility_shader);
+        gpu.check()?;
+        let near = geometry.near;
+        Ok(Self {
+            triangles,
+            visibility,
+            corners,
+            indices,
+            camera,
+            camera_only,
+            shader,
+            sort_pixels,
+            finish,
+            resources,
+            object_triangles,
+            object_vertices,
+            environment_turn,
+            near,
+            bytes,
+        })
+    }
+
+    /// On the device, without bands.
+    pub fn bytes(&self) -> u64 {
+        self.bytes
+    }
+
+    /// What `object.wgsl` reads: three corners a triangle, and the corners.
+    pub fn object_buffers(&self) -> [&wgpu::Buffer; 2] {
+        [&self.object_triangles, &self.object_vertices]
+    }
+
+    /// Room for `rows` rows of `width` pixels.
+    pub fn band(&self, gpu: &Gpu, width: u32, rows: u32) -> Band {
         let texture = |format, usage| {
-            gpu.device().create_texture(&wgpu::TextureDescriptor {
+            let texture = gpu.device().create_texture(&wgpu::TextureDescriptor {
                 label: Some("g-buffer"),
-                size: wgpu::Extent3d { width, height, depth_or_array_layers: 1 },
+                size: wgpu::Extent3d { width, height: rows, depth_or_array_layers: 1 },
                 mip_level_count: 1,
                 sample_count: 1,
                 dimension: wgpu::TextureDimension::D2,
                 format,
                 usage: usage | wgpu::TextureUsages::RENDER_ATTACHMENT,
                 view_formats: &[],
-            })
+            });
+            texture.create_view(&wgpu::TextureViewDescriptor::default())
         };
-        let read = wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_SRC;
-        let (a, b) = (texture(COLOR, read), texture(COLOR, read));
-        let view = |t: &wgpu::Texture| t.create_view(&wgpu::TextureViewDescriptor::default());
-        let depth = view(&texture(DEPTH, wgpu::TextureUsages::empty()));
-        Self { a_view: view(&a), b_view: view(&b), textures: [a, b], depth }
-    }
-}
-
-impl GBufferTargets {
-    pub fn width(&self) -> u32 {
-        self.textures[0].width()
-    }
-
-    pub fn height(&self) -> u32 {
-        self.textures[0].height()
-    }
-}
-
-impl Rasterizer {
-    pub fn new(gpu: &Gpu, geometry: &ProxyGeometry) -> Result<Self, GpuError> {
-        let entries = [binding::uniform(0), binding::texture(1), binding::read_buffer(2), binding::read_buffer(3), binding::read_buffer(4)];
-        let shader = Shader::new(gpu, "g-buffer", SOURCE, &[&entries]);
-        let (environment, environment_turn) = environment_texture(gpu, &geometry.environment)?;
-        let none = wgpu::BufferUsages::empty();
-        gpu.check_binding("the background's textures", size_of_val(geometry.pyramids.texels.as_slice()) as u64)?;
-        let materials = storage_buffer(gpu, "materials", &geometry.materials, none);
-        let levels = storage_buffer(gpu, "levels", &geometry.pyramids.levels, none);
-        let texels = storage_buffer(gpu, "texels", &geometry.pyramids.texels, none);
-        let camera = uniform_buffer::<CameraUniform>(gpu, "camera");
-        let view = environment.create_view(&wgpu::TextureViewDescriptor::default());
-        let resources = [
-            camera.as_entire_binding(),
-            wgpu::BindingResource::TextureView(&view),
-            materials.as_entire_binding(),
-            levels.as_entire_binding(),
-            texels.as_entire_binding(),
-        ];
-        let resources = shader.bind(gpu, 0, &resources);
-        let textured = |t: &[u32; 3]| geometry.materials[geometry.background_vertices[t[0] as usize].material as usize].level_count > 0;
-        let (with_textures, plain): (Vec<_>, Vec<_>) = geometry.background_triangles.iter().copied().partition(textured);
-        let background = geometry.background_vertices.as_slice();
-        let pipelines = [
-            Draw::new(gpu, &shader, "object", &object_attributes(), &geometry.object_vertices, &geometry.object_triangles, false)?,
-            Draw::new(gpu, &shader, "background", &background_attributes(), background, &plain, false)?,
-            Draw::new(gpu, &shader, "background", &background_attributes(), background, &with_textures, true)?,
-        ];
-        let environment_bytes = u64::from(environment.width()) * u64::from(environment.height()) * 16;
-        let bytes = environment_bytes + materials.size() + levels.size() + texels.size() + pipelines.iter().map(Draw::bytes).sum::<u64>();
-        let sky = pipeline(gpu, &shader, ["sky_corner", "sky"], None, wgpu::CompareFunction::GreaterEqual, false);
-        gpu.check()?;
-        Ok(Self { pipelines, sky, camera, resources, environment_turn, near: geometry.near, bytes })
+        let buffer = |label, size, usage| {
+            gpu.device().create_buffer(&wgpu::BufferDescriptor { label: Some(label), size, usage, mapped_at_creation: false })
+        };
+        let (visibility, depth) = (texture(VISIBILITY, wgpu::TextureUsages::TEXTURE_BINDING), texture(DEPTH, wgpu::TextureUsages::empty()));
+        let pixels = u64::from(width) * u64::from(rows);
+        let head_bytes = LISTS as u64 * LIST_HEAD_BYTES;
+        let copied = wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::COPY_SRC;
+        let work = buffer("work", head_bytes + 4 * LISTS as u64 * pixels, wgpu::BufferUsages::STORAGE | copied);
+        let heads = buffer("list heads", head_bytes, wgpu::BufferUsages::INDIRECT | wgpu::BufferUsages::COPY_DST);
+        let output = buffer("output", 4 * OUTPUT_WORDS * pixels, wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_SRC);
+        let resources = self.shader.bind(gpu, 0, &band_bindings(&self.camera, &visibility, &work, &output));
+        Band { visibility, depth, work, heads, output, resources, width, rows }
     }
 
-    /// On the device.
-    pub fn bytes(&self) -> u64 {
-        self.bytes
+    /// Group 0 of a kernel that reads bands: as [`band_entries`] describes it.
+    pub fn bind_band(&self, gpu: &Gpu, shader: &Shader, band: &Band) -> wgpu::BindGroup {
+        shader.bind(gpu, 0, &band_bindings(&self.camera, &band.visibility, &band.work, &band.output))
     }
 
-    /// The uniform that later passes bind, too.
-    pub fn camera_buffer(&self) -> &wgpu::Buffer {
-        &self.camera
-    }
-
-    /// Records the drawing of a band of rows into `targets`, which has its size.
+    /// Records a band: visibility, the pixels' lists, and every pixel that does not see the object.
     pub fn draw(
         &self,
         gpu: &Gpu,
         encoder: &mut wgpu::CommandEncoder,
         camera: &Camera,
         first_row: u32,
-        targets: &GBufferTargets,
+        band: &Band,
     ) -> Result<(), GpuError> {
-        let uniform = CameraUniform::new(camera, self.near, self.environment_turn, first_row, targets.height())?;
-        gpu.queue().write_buffer(&self.camera, 0, bytemuck::bytes_of(&uniform));
-        let color = |view| {
-            // Every pixel is written, by the sky if by nothing else; clearing is cheaper than loading.
-            let ops = wgpu::Operations { load: wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT), store: wgpu::StoreOp::Store };
-            Some(wgpu::RenderPassColorAttachment { view, depth_slice: None, resolve_target: None, ops })
+        let uniform = CameraUniform {
+            object_end: self.triangles.object_end,
+            plain_end: self.triangles.plain_end,
+            ..CameraUniform::new(camera, self.near, self.environment_turn, first_row, band.rows)?
         };
+        gpu.queue().write_buffer(&self.camera, 0, bytemuck::bytes_of(&uniform));
+        // No groups along x yet, one along y and z, no pixels.
+        gpu.queue().write_buffer(&band.work, 0, bytemuck::cast_slice(&[[0u32, 1, 1, 0]; LISTS]));
+        self.draw_visibility(encoder, self.triangles.in_view(camera, self.near, first_row, band.rows), band);
+        let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+        pass.set_bind_group(0, &band.resources, &[]);
+        pass.set_bind_group(1, &self.resources, &[]);
+        pass.set_pipeline(&self.sort_pixels);
+        pass.dispatch_workgroups(band.width.div_ceil(RUN * SORT_GROUP), band.rows.div_ceil(SORT_GROUP), 1);
+        drop(pass);
+        encoder.copy_buffer_to_buffer(&band.work, 0, &band.heads, 0, band.heads.size());
+        let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+        pass.set_bind_group(0, &band.resources, &[]);
+        pass.set_bind_group(1, &self.resources, &[]);
+        for (pipeline, list) in &self.finish {
+            pass.set_pipeline(pipeline);
+            pass.dispatch_workgroups_indirect(&band.heads, u64::from(*list) * LIST_HEAD_BYTES);
+        }
+        Ok(())
+    }
+
+    fn draw_visibility(&self, encoder: &mut wgpu::CommandEncoder, ranges: Vec<Range<u32>>, band: &Band) {
+        let color_ops = wgpu::Operations { load: wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT), store: wgpu::StoreOp::Store };
         let depth_ops = wgpu::Operations { load: wgpu::LoadOp::Clear(0.0), store: wgpu::StoreOp::Discard };
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
-            label: Some("g-buffer"),
-            color_attachments: &[color(&targets.a_view), color(&targets.b_view)],
+            label: Some("visibility"),
+            color_attachments: &[Some(wgpu::RenderPassColorAttachment {
+                view: &band.visibility,
+                depth_slice: None,
+                resolve_target: None,
+                ops: color_ops,
+            })],
             depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
-                view: &targets.depth,
+                view: &band.depth,
                 depth_ops: Some(depth_ops),
                 stencil_ops: None,
             }),
             ..Default::default()
         });
-        pass.set_bind_group(0, &self.resources, &[]);
-        for draw in self.pipelines.iter().filter(|d| d.index_count > 0) {
-            pass.set_pipeline(&draw.pipeline);
-            pass.set_vertex_buffer(0, draw.vertices.slice(..));
-            pass.set_index_buffer(draw.indices.slice(..), wgpu::IndexFormat::Uint32);
-            pass.draw_indexed(0..draw.index_count, 0, 0..1);
+        pass.set_bind_group(0, &self.camera_only, &[]);
+        pass.set_pipeline(&self.visibility);
+        pass.set_vertex_buffer(0, self.corners.slice(..));
+        pass.set_index_buffer(self.indices.slice(..), wgpu::IndexFormat::Uint32);
+        for range in ranges {
+            pass.draw_indexed(3 * range.start..3 * range.end, 0, 0..1);
         }
-        pass.set_pipeline(&self.sky);
-        pass.draw(0..3, 0..1);
-        Ok(())
     }
 }
 
-impl Draw {
-    fn new<V: Pod>(
-        gpu: &Gpu,
-        shader: &Shader,
-        what: &str,
-        attributes: &[wgpu::VertexAttribute],
-        vertices: &[V],
-        triangles: &[[u32; 3]],
-        textured: bool,
-    ) -> Result<Self, GpuError> {
-        let limit = gpu.device().limits().max_buffer_size;
-        let needed = size_of_val(vertices).max(size_of_val(triangles)) as u64;
-        if needed > limit {
-            return Err(GpuError::BeyondLimit { what: "the proxy geometry in bytes", needed, limit });
-        }
-        let layout = wgpu::VertexBufferLayout { array_stride: size_of::<V>() as u64, step_mode: wgpu::VertexStepMode::Vertex, attributes };
-        let corner = format!("{what}_corner");
-        let pipeline = pipeline(gpu, shader, [&corner, what], Some(layout), wgpu::CompareFunction::Greater, textured);
-        let buffer = |contents: &[u8], usage| {
-            let contents = if contents.is_empty() { &[0; 4] } else { contents };
-            gpu.device().create_buffer_init(&wgpu::util::BufferInitDescriptor { label: Some("proxies"), contents, usage })
-        };
-        Ok(Self {
-            pipeline,
-            vertices: buffer(bytemuck::cast_slice(vertices), wgpu::BufferUsages::VERTEX),
-            indices: buffer(bytemuck::cast_slice(triangles), wgpu::BufferUsages::INDEX),
-            index_count: 3 * triangles.len() as u32,
-        })
+impl Band {
+    /// How many.
+    pub fn pixels(&self) -> u32 {
+        self.width * self.rows
     }
 
-    fn bytes(&self) -> u64 {
-        self.vertices.size() + self.indices.size()
+    /// R, G, B of each pixel; then all distances; then provenance.
+    pub fn output(&self) -> &wgpu::Buffer {
+        &self.output
+    }
+
+    /// Runs `pass`'s pipeline, of 64 invocations a group, over the list of the object's pixels.
+    pub fn dispatch_over_object(&self, pass: &mut wgpu::ComputePass<'_>) {
+        pass.dispatch_workgroups_indirect(&self.heads, u64::from(OBJECT_LIST) * LIST_HEAD_BYTES);
     }
 }
 
-fn pipeline(
-    gpu: &Gpu,
-    shader: &Shader,
-    [vertex, fragment]: [&str; 2],
-    layout: Option<wgpu::VertexBufferLayout<'_>>,
-    depth_compare: wgpu::CompareFunction,
-    textured: bool,
-) -> wgpu::RenderPipeline {
-    let constants = [("TEXTURED", f64::from(u8::from(textured)))];
-    let compilation_options = wgpu::PipelineCompilationOptions { constants: &constants, ..Default::default() };
+/// Group 0 of every kernel that includes `band.wgsl`.
+pub(crate) fn band_entries() -> [wgpu::BindGroupLayoutEntry; 4] {
+    [binding::uniform(0), binding::uint_texture(1), binding::write_buffer(2), binding::write_buffer(3)]
+}
+
+fn band_bindings<'a>(
+    camera: &'a wgpu::Buffer,
+    visibility: &'a wgpu::TextureView,
+    work: &'a wgpu::Buffer,
+    output: &'a wgpu::Buffer,
+) -> [wgpu::BindingResource<'a>; 4] {
+    let visibility = wgpu::BindingResource::TextureView(visibility);
+    [camera.as_entire_binding(), visibility, work.as_entire_binding(), output.as_entire_binding()]
+}
+
+fn background_entries() -> [wgpu::BindGroupLayoutEntry; 6] {
+    let buffer = binding::read_buffer;
+    [binding::texture(0), buffer(1), buffer(2), buffer(3), buffer(4), buffer(5)]
+}
+
+fn visibility_pipeline(gpu: &Gpu, shader: &Shader) -> wgpu::RenderPipeline {
+    let attributes = wgpu::vertex_attr_array![0 => Float32x3, 1 => Uint32];
+    let layout = wgpu::VertexBufferLayout {
+        array_stride: size_of::<Corner>() as u64,
+        step_mode: wgpu::VertexStepMode::Vertex,
+        attributes: &attributes,
+    };
     gpu.device().create_render_pipeline(&wgpu::RenderPipelineDescriptor {
-        label: Some(fragment),
+        label: Some("visibility"),
         layout: Some(&shader.layout),
         vertex: wgpu::VertexState {
             module: &shader.module,
-            entry_point: Some(vertex),
-            compilation_options: compilation_options.clone(),
-            buffers: &layout.map(Some).into_iter().collect::<Vec<_>>(),
+            entry_point: Some("corner"),
+            compilation_options: wgpu::PipelineCompilationOptions::default(),
+            buffers: &[Some(layout)],
         },
         // Both sides are drawn: proxies are two-sided, and the object's back is marked as such.
         primitive: wgpu::PrimitiveState { front_face: wgpu::FrontFace::Ccw, cull_mode: None, ..Default::default() },
         depth_stencil: Some(wgpu::DepthStencilState {
             format: DEPTH,
-            depth_write_enabled: Some(depth_compare == wgpu::CompareFunction::Greater),
-            depth_compare: Some(depth_compare),
+            depth_write_enabled: Some(true),
+            depth_compare: Some(wgpu::CompareFunction::Greater),
             stencil: wgpu::StencilState::default(),
             bias: wgpu::DepthBiasState::default(),
         }),
         multisample: wgpu::MultisampleState::default(),
         fragment: Some(wgpu::FragmentState {
             module: &shader.module,
-            entry_point: Some(fragment),
-            compilation_options,
-            targets: &[Some(COLOR.into()), Some(COLOR.into())],
+            entry_point: Some("visible"),
+            compilation_options: wgpu::PipelineCompilationOptions::default(),
+            targets: &[Some(VISIBILITY.into())],
         }),
         multiview_mask: None,
         cache: None,
     })
-}
-
-fn attribute(shader_location: u32, offset: usize, format: wgpu::VertexFormat) -> wgpu::VertexAttribute {
-    wgpu::VertexAttribute { format, offset: offset as u64, shader_location }
-}
-
-fn object_attributes() -> [wgpu::VertexAttribute; 4] {
-    use wgpu::VertexFormat::{Float32x2, Float32x3, Uint32};
-    [
-        attribute(0, offset_of!(ObjectVertex, position), Float32x3),
-        attribute(1, offset_of!(ObjectVertex, normal), Float32x3),
-        attribute(2, offset_of!(ObjectVertex, uv), Float32x2),
-        attribute(3, offset_of!(ObjectVertex, part), Uint32),
-    ]
-}
-
-fn background_attributes() -> [wgpu::VertexAttribute; 6] {
-    use wgpu::VertexFormat::{Float32x2, Float32x3, Uint32};
-    [
-        attribute(0, offset_of!(BackgroundVertex, position), Float32x3),
-        attribute(1, offset_of!(BackgroundVertex, normal), Float32x3),
-        attribute(2, offset_of!(BackgroundVertex, uv), Float32x2),
-        attribute(3, offset_of!(BackgroundVertex, material), Uint32),
-        attribute(4, offset_of!(BackgroundVertex, irradiance_front), Float32x3),
-        attribute(5, offset_of!(BackgroundVertex, irradiance_back), Float32x3),
-    ]
 }
 
 // The map as it is, or one texel of a constant; and its rotation.
@@ -342,10 +400,54 @@ fn environment_texture(gpu: &Gpu, environment: &Environment) -> Result<(wgpu::Te
         mip_level_count: 1,
         sample_count: 1,
         dimension: wgpu::TextureDimension::D2,
-        format: COLOR,
+        format: wgpu::TextureFormat::Rgba32Float,
         usage: wgpu::TextureUsages::TEXTURE_BINDING,
         view_formats: &[],
     };
     let order = wgpu::util::TextureDataOrder::default();
     Ok((gpu.device().create_texture_with_data(gpu.queue(), &description, order, bytemuck::cast_slice(&texels)), turn))
+}
+
+/// Bands laid open.
+#[cfg(test)]
+pub(crate) mod resolve {
+    use super::{Band, GROUP_SIZE, Rasterizer, background_entries, band_entries};
+    use crate::gpu::{Gpu, ReadBack, Shader, binding, storage_buffer};
+    use crate::representations::g_buffer::GBufferPixel;
+
+    /// All of `resolve.wgsl`'s source.
+    pub(crate) const SOURCE: &str = concat!(
+        include_str!("camera.wgsl"),
+        include_str!("band.wgsl"),
+        include_str!("../../directions/lat_long.wgsl"),
+        include_str!("object.wgsl"),
+        include_str!("g_buffer.wgsl"),
+        include_str!("resolve.wgsl")
+    );
+
+    impl Rasterizer {
+        /// What each pixel of the band that was drawn last sees, computed by the functions that shading uses.
+        pub fn read_g_buffer(&self, gpu: &Gpu, band: &Band) -> Vec<GBufferPixel> {
+            let entries = [binding::read_buffer(0), binding::read_buffer(1), binding::write_buffer(2)];
+            let shader = Shader::new(gpu, "resolve", SOURCE, &[&band_entries(), &background_entries(), &entries]);
+            let pixels = vec![[[0f32; 4]; 2]; band.pixels() as usize];
+            let resolved = storage_buffer(gpu, "resolved", &pixels, wgpu::BufferUsages::COPY_SRC);
+            let [triangles, vertices] = self.object_buffers().map(wgpu::Buffer::as_entire_binding);
+            let own = shader.bind(gpu, 2, &[triangles, vertices, resolved.as_entire_binding()]);
+            let pipeline = shader.compute_pipeline(gpu, "resolve", &[("TEXTURED", 1.0)]);
+            let read_back = ReadBack::new(gpu, "g-buffer", resolved.size());
+            let mut encoder = gpu.device().create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+            pass.set_pipeline(&pipeline);
+            for (index, group) in [&band.resources, &self.resources, &own].into_iter().enumerate() {
+                pass.set_bind_group(index as u32, group, &[]);
+            }
+            pass.dispatch_workgroups(band.pixels().div_ceil(GROUP_SIZE), 1, 1);
+            drop(pass);
+            encoder.copy_buffer_to_buffer(&resolved, 0, read_back.buffer(), 0, resolved.size());
+            gpu.queue().submit([encoder.finish()]);
+            let read = |bytes: &[u8]| bytes.chunks_exact(size_of::<GBufferPixel>()).map(bytemuck::pod_read_unaligned).collect();
+            read_back.request(0..read_back.bytes()).finish(gpu, read).expect("the device works")
+        }
+    }
 }

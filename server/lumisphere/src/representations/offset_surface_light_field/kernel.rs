@@ -14,7 +14,7 @@ use rayon::prelude::*;
 
 use super::{Blend, Component, OffsetSurfaceLightField, Settings, check_page};
 use crate::gpu::{Atlas, AtlasShape, Gpu, GpuError, ReadBack, Shader, binding, conform, storage_buffer, uniform_buffer};
-use crate::representations::g_buffer::{G_BUFFER_BYTES_PER_PIXEL, GBufferTargets, ProxyGeometry, Rasterizer};
+use crate::representations::g_buffer::{BAND_BYTES_PER_PIXEL, Band, OUTPUT_WORDS, ProxyGeometry, Rasterizer, band_entries};
 use crate::representations::page_source::CountingSource;
 use crate::representations::{FrameRequest, GpuFrameStats, GpuKernel, Pixels, Provenance, RenderError, Settings as AnySettings};
 use crate::textures::{Page, PageId};
@@ -22,6 +22,8 @@ use crate::textures::{Page, PageId};
 /// All of `kernel.wgsl`'s source.
 pub(crate) const SOURCE: &str = concat!(
     include_str!("../g_buffer/camera.wgsl"),
+    include_str!("../g_buffer/band.wgsl"),
+    include_str!("../g_buffer/object.wgsl"),
     include_str!("../../directions/cube_map.wgsl"),
     include_str!("../../gpu/atlas.wgsl"),
     include_str!("kernel.wgsl")
@@ -39,16 +41,10 @@ pub(crate) struct ShadingUniform {
     pub stamp: u32,
 }
 
-// A band has at most this many pixels: 46 MiB on the device with everything that grows with it.
+// A band has at most this many pixels: 32 MiB on the device with everything that grows with it.
 const MAX_BAND_PIXELS: u32 = 1 << 19;
-// R, G, B, distance, provenance.
-const OUTPUT_WORDS: u64 = 5;
-// Output and its read-back, and the work list.
-const BAND_BYTES_PER_PIXEL: u64 = G_BUFFER_BYTES_PER_PIXEL + 2 * 4 * OUTPUT_WORDS + 4;
-// Indirect arguments and the count, ahead of the list.
-const WORK_HEADER_BYTES: u64 = 16;
-// As `GROUP_SIZE` in WGSL.
-const GROUP_SIZE: u32 = 64;
+// With the copy of the output that is read back.
+const BYTES_PER_PIXEL: u64 = BAND_BYTES_PER_PIXEL + 4 * OUTPUT_WORDS;
 // Shading passes of one band: a second one finds every page, a third one means a bug.
 const MAX_PASSES: u32 = 3;
 
@@ -64,35 +60,25 @@ pub(crate) struct Kernel {
     sample_maps: wgpu::Buffer,
     touched: wgpu::Buffer,
     touched_read_back: ReadBack,
-    pipelines: HashMap<(u32, u32), Pipelines>,
+    pipelines: HashMap<(u32, u32), wgpu::ComputePipeline>,
     // Made with the first page, whose format it takes.
     atlas: Option<BoundAtlas>,
-    band: Option<Band>,
+    band: Option<BoundBand>,
     stamp: u32,
     frames: u64,
-}
-
-struct Pipelines {
-    classify: wgpu::ComputePipeline,
-    shade: wgpu::ComputePipeline,
 }
 
 struct BoundAtlas {
     atlas: Atlas,
     shape: AtlasShape,
     views: wgpu::BindGroup,
+    resources: wgpu::BindGroup,
 }
 
-/// What a band of one size needs.
-struct Band {
-    targets: GBufferTargets,
-    work: wgpu::Buffer,
-    // The work list's head, apart: a buffer cannot be written and be an indirect argument in one dispatch.
-    groups: wgpu::Buffer,
-    output: wgpu::Buffer,
-    read_back: ReadBack,
+struct BoundBand {
+    band: Band,
     resources: wgpu::BindGroup,
-    pixels: u32,
+    read_back: ReadBack,
 }
 
 impl Kernel {
@@ -100,16 +86,13 @@ impl Kernel {
         let geometry = ProxyGeometry::new(&field.surface.mesh, &field.surface.part_of_triangle, &field.background);
         gpu.check_binding("the sample maps", size_of_val(field.sample_maps.indices.as_slice()) as u64)?;
         let entries = [
-            binding::uniform(0),
-            binding::uniform(1),
-            binding::texture(2),
-            binding::texture(3),
+            binding::read_buffer(0),
+            binding::read_buffer(1),
+            binding::uniform(2),
+            binding::read_buffer(3),
             binding::read_buffer(4),
             binding::read_buffer(5),
-            binding::read_buffer(6),
-            binding::write_buffer(7),
-            binding::write_buffer(8),
-            binding::write_buffer(9),
+            binding::write_buffer(6),
         ];
         let atlas_entries = [0, 1, 2, 3].map(binding::texture_array);
         let none = wgpu::BufferUsages::empty();
@@ -119,7 +102,7 @@ impl Kernel {
         let touched_words = vec![0u32; field.page_count()];
         let kernel = Self {
             rasterizer: Rasterizer::new(&gpu, &geometry)?,
-            shader: Shader::new(&gpu, "offset surface light field", SOURCE, &[&entries, &atlas_entries]),
+            shader: Shader::new(&gpu, "offset surface light field", SOURCE, &[&band_entries(), &entries, &atlas_entries]),
             shading: uniform_buffer::<ShadingUniform>(&gpu, "shading"),
             sample_points: storage_buffer(&gpu, "sample points", &positions, none),
             sample_maps: storage_buffer(&gpu, "sample maps", &maps, none),
@@ -135,7 +118,7 @@ impl Kernel {
             gpu,
         };
         kernel.gpu.check()?;
-        let needed_bytes = kernel.fixed_bytes() + u64::from(MAX_BAND_PIXELS) * BAND_BYTES_PER_PIXEL;
+        let needed_bytes = kernel.fixed_bytes() + u64::from(MAX_BAND_PIXELS) * BYTES_PER_PIXEL;
         if needed_bytes >= budget_bytes {
             return Err(GpuError::OverBudget { what: "the dataset's geometry", needed_bytes, budget_bytes });
         }
@@ -145,30 +128,13 @@ impl Kernel {
     /// The last band's G-buffer.
     #[cfg(test)]
     pub fn read_g_buffer(&self) -> Vec<crate::representations::g_buffer::GBufferPixel> {
-        let targets = &self.band.as_ref().expect("a frame was rendered").targets;
-        let read = |texture: &wgpu::Texture| -> Vec<[f32; 4]> {
-            let (width, height) = (texture.width(), texture.height());
-            let stride = (16 * width).next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT);
-            let read_back = ReadBack::new(&self.gpu, "g-buffer", u64::from(stride) * u64::from(height));
-            let layout = wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(stride), rows_per_image: None };
-            let target = wgpu::TexelCopyBufferInfo { buffer: read_back.buffer(), layout };
-            let mut encoder = new_encoder(&self.gpu);
-            encoder.copy_texture_to_buffer(texture.as_image_copy(), target, texture.size());
-            self.gpu.queue().submit([encoder.finish()]);
-            let rows = |bytes: &[u8]| {
-                let rows = bytes.chunks_exact(stride as usize).flat_map(|row| &row[..16 * width as usize]).copied().collect::<Vec<u8>>();
-                rows.chunks_exact(16).map(bytemuck::pod_read_unaligned).collect()
-            };
-            read_back.request(0..read_back.bytes()).finish(&self.gpu, rows).expect("the device works")
-        };
-        let pairs = read(&targets.textures[0]).into_iter().zip(read(&targets.textures[1]));
-        pairs.map(|(a, b)| crate::representations::g_buffer::GBufferPixel { a, b }).collect()
+        self.rasterizer.read_g_buffer(&self.gpu, &self.band.as_ref().expect("a frame was rendered").band)
     }
 
     /// From the next frame on the atlas takes at most this much.
     #[cfg(test)]
     pub fn set_atlas_budget(&mut self, bytes: u64) {
-        self.budget_bytes = self.fixed_bytes() + u64::from(MAX_BAND_PIXELS) * BAND_BYTES_PER_PIXEL + bytes;
+        self.budget_bytes = self.fixed_bytes() + u64::from(MAX_BAND_PIXELS) * BYTES_PER_PIXEL + bytes;
     }
 
     fn fixed_bytes(&self) -> u64 {
@@ -180,10 +146,7 @@ impl Kernel {
         let key = (component_number(settings.component), blend_number(settings));
         let textures = self.atlas.as_ref().map_or(1, |a| a.atlas.texture_count());
         let constants = [("COMPONENT", f64::from(key.0)), ("BLEND", f64::from(key.1)), ("ATLAS_TEXTURES", textures as f64)];
-        self.pipelines.entry(key).or_insert_with(|| Pipelines {
-            classify: self.shader.compute_pipeline(&self.gpu, "classify", &constants),
-            shade: self.shader.compute_pipeline(&self.gpu, "shade", &constants),
-        });
+        self.pipelines.entry(key).or_insert_with(|| self.shader.compute_pipeline(&self.gpu, "shade", &constants));
         key
     }
 
@@ -195,49 +158,28 @@ impl Kernel {
         let page_size = self.field.parameters.face_size_texels;
         let pixel = pages.page(PageId(0))?.shape().pixel;
         let shape = AtlasShape { page_count: self.field.page_count(), page_size, pixel };
-        let budget = self.budget_bytes - self.fixed_bytes() - u64::from(MAX_BAND_PIXELS) * BAND_BYTES_PER_PIXEL;
+        let budget = self.budget_bytes - self.fixed_bytes() - u64::from(MAX_BAND_PIXELS) * BYTES_PER_PIXEL;
         let atlas = Atlas::new(&self.gpu, shape, budget)?;
         let views: Vec<_> = atlas.views().iter().map(wgpu::BindingResource::TextureView).collect();
-        let views = self.shader.bind(&self.gpu, 1, &views);
-        self.atlas = Some(BoundAtlas { atlas, shape, views });
+        let views = self.shader.bind(&self.gpu, 2, &views);
+        let [triangles, vertices] = self.rasterizer.object_buffers();
+        let resources = [triangles, vertices, &self.shading, &self.sample_points, &self.sample_maps, atlas.indirection(), &self.touched];
+        let resources = self.shader.bind(&self.gpu, 1, &resources.map(wgpu::Buffer::as_entire_binding));
+        self.atlas = Some(BoundAtlas { atlas, shape, views, resources });
         Ok(())
     }
 
     fn ensure_band(&mut self, width: u32, rows: u32) -> Result<(), GpuError> {
-        let same = |b: &Band| (b.targets.width(), b.targets.height()) == (width, rows);
-        if self.band.as_ref().is_some_and(same) {
+        if self.band.as_ref().is_some_and(|b| (b.band.width, b.band.rows) == (width, rows)) {
             return Ok(());
         }
         // The old one first, so that both are never held at once.
         self.band = None;
-        let atlas = self.atlas.as_ref().expect("made before any band");
-        let device = self.gpu.device();
-        let targets = GBufferTargets::new(&self.gpu, width, rows);
-        let pixels = width * rows;
-        let buffer = |label, size, usage| {
-            device.create_buffer(&wgpu::BufferDescriptor { label: Some(label), size, usage, mapped_at_creation: false })
-        };
-        let storage = wgpu::BufferUsages::STORAGE;
-        let copied = wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::COPY_SRC;
-        let work = buffer("work", WORK_HEADER_BYTES + 4 * u64::from(pixels), storage | copied);
-        let groups = buffer("groups", WORK_HEADER_BYTES, wgpu::BufferUsages::INDIRECT | wgpu::BufferUsages::COPY_DST);
-        let output = buffer("output", 4 * OUTPUT_WORDS * u64::from(pixels), storage | wgpu::BufferUsages::COPY_SRC);
-        let resources = [
-            self.rasterizer.camera_buffer().as_entire_binding(),
-            self.shading.as_entire_binding(),
-            wgpu::BindingResource::TextureView(&targets.a_view),
-            wgpu::BindingResource::TextureView(&targets.b_view),
-            self.sample_points.as_entire_binding(),
-            self.sample_maps.as_entire_binding(),
-            atlas.atlas.indirection().as_entire_binding(),
-            self.touched.as_entire_binding(),
-            work.as_entire_binding(),
-            output.as_entire_binding(),
-        ];
-        let resources = self.shader.bind(&self.gpu, 0, &resources);
-        let read_back = ReadBack::new(&self.gpu, "output", output.size());
+        let band = self.rasterizer.band(&self.gpu, width, rows);
+        let resources = self.rasterizer.bind_band(&self.gpu, &self.shader, &band);
+        let read_back = ReadBack::new(&self.gpu, "output", band.output().size());
         self.gpu.check()?;
-        self.band = Some(Band { targets, work, groups, output, read_back, resources, pixels });
+        self.band = Some(BoundBand { band, resources, read_back });
         Ok(())
     }
 
@@ -247,12 +189,9 @@ impl Kernel {
         self.ensure_band(camera.intrinsics().width_px, rows)?;
         let gpu = self.gpu.clone();
         let mut encoder = new_encoder(&gpu);
-        {
-            let band = self.band.as_ref().expect("made above");
-            self.rasterizer.draw(&gpu, &mut encoder, camera, first_row, &band.targets)?;
-            gpu.queue().write_buffer(&band.work, 0, bytemuck::cast_slice(&[0u32, 1, 1, 0]));
-        }
-        self.record_pass(&mut encoder, frame, true);
+        let band = &self.band.as_ref().expect("made above").band;
+        self.rasterizer.draw(&gpu, &mut encoder, camera, first_row, band)?;
+        self.record_pass(&mut encoder, frame);
         let mut passes = 1;
         loop {
             let recorded = std::mem::replace(&mut encoder, new_encoder(&gpu));
@@ -266,7 +205,7 @@ impl Kernel {
             }
             frame.stats.gpu_millis += millis_since(begin) - frame.stats.pages_millis;
             self.bring(&gpu, frame, &missing)?;
-            self.record_pass(&mut encoder, frame, false);
+            self.record_pass(&mut encoder, frame);
             passes += 1;
         }
         frame.stats.passes = frame.stats.passes.max(passes);
@@ -274,8 +213,8 @@ impl Kernel {
         self.read_band(frame)
     }
 
-    // Classification (once a band), shading, and the copies that a pass's results leave by.
-    fn record_pass(&mut self, encoder: &mut wgpu::CommandEncoder, frame: &FrameInProgress<'_, '_>, first: bool) {
+    // Shading, and the copies that a pass's results leave by.
+    fn record_pass(&mut self, encoder: &mut wgpu::CommandEncoder, frame: &FrameInProgress<'_, '_>) {
         let key = self.pipelines(frame.settings);
         self.stamp = self.stamp.wrapping_add(1).max(1);
         let uniform = ShadingUniform {
@@ -288,27 +227,17 @@ impl Kernel {
         };
         self.gpu.queue().write_buffer(&self.shading, 0, bytemuck::bytes_of(&uniform));
         let (band, atlas) = (self.band.as_ref().expect("made before"), self.atlas.as_ref().expect("made before"));
-        let pipelines = &self.pipelines[&key];
-        let run = |encoder: &mut wgpu::CommandEncoder, pipeline: &wgpu::ComputePipeline, groups: Option<(u32, u32)>| {
-            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
-            pass.set_bind_group(0, &band.resources, &[]);
-            pass.set_bind_group(1, &atlas.views, &[]);
-            pass.set_pipeline(pipeline);
-            match groups {
-                Some((x, y)) => pass.dispatch_workgroups(x, y, 1),
-                None => pass.dispatch_workgroups_indirect(&band.groups, 0),
-            }
-        };
-        if first {
-            let (width, rows) = (band.targets.width(), band.targets.height());
-            run(encoder, &pipelines.classify, Some((width.div_ceil(GROUP_SIZE), rows)));
-            encoder.copy_buffer_to_buffer(&band.work, 0, &band.groups, 0, WORK_HEADER_BYTES);
-        }
-        run(encoder, &pipelines.shade, None);
+        let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+        pass.set_bind_group(0, &band.resources, &[]);
+        pass.set_bind_group(1, &atlas.resources, &[]);
+        pass.set_bind_group(2, &atlas.views, &[]);
+        pass.set_pipeline(&self.pipelines[&key]);
+        band.band.dispatch_over_object(&mut pass);
+        drop(pass);
         let pages = self.touched_read_back.buffer();
         encoder.copy_buffer_to_buffer(&self.touched, 0, pages, 0, self.touched.size());
-        for range in wanted_ranges(band.pixels, frame.request) {
-            encoder.copy_buffer_to_buffer(&band.output, range.start, band.read_back.buffer(), range.start, range.end - range.start);
+        for range in wanted_ranges(band.band.pixels(), frame.request) {
+            encoder.copy_buffer_to_buffer(band.band.output(), range.start, band.read_back.buffer(), range.start, range.end - range.start);
         }
     }
 
@@ -358,8 +287,8 @@ impl Kernel {
     fn read_band(&mut self, frame: &mut FrameInProgress<'_, '_>) -> Result<(), RenderError> {
         let begin = Instant::now();
         let band = self.band.as_ref().expect("made before");
-        let pixels = band.pixels as usize;
-        let last = wanted_ranges(band.pixels, frame.request).last().map_or(0, |r| r.end);
+        let pixels = band.band.pixels() as usize;
+        let last = wanted_ranges(band.band.pixels(), frame.request).last().map_or(0, |r| r.end);
         let (color, depth, provenance) = (&mut frame.color, &mut frame.depth, &mut frame.provenance);
         band.read_back.request(0..last.next_multiple_of(wgpu::MAP_ALIGNMENT).min(band.read_back.bytes())).finish(&self.gpu, |bytes| {
             // Mapped memory is aligned to 8 bytes; pod_collect does not depend on it.
@@ -425,7 +354,7 @@ impl GpuKernel for Kernel {
     }
 
     fn bytes(&self) -> u64 {
-        let band = self.band.as_ref().map_or(0, |b| u64::from(b.pixels) * BAND_BYTES_PER_PIXEL);
+        let band = self.band.as_ref().map_or(0, |b| u64::from(b.band.pixels()) * BYTES_PER_PIXEL);
         self.fixed_bytes() + band + self.atlas.as_ref().map_or(0, |a| a.atlas.bytes())
     }
 }

@@ -1,5 +1,4 @@
-// The GPU's twin of shade.rs: the same functions by the same names. Two passes over a band: `classify` finishes what is not the object
-// and lists the object's pixels; `shade` runs over that list alone (lanes of a processor would otherwise shade every pixel).
+// The GPU's twin of shade.rs: the same functions by the same names. Runs over the list of the object's pixels.
 
 struct Shading {
     specular_reflectance: vec3<f32>,
@@ -12,25 +11,14 @@ struct Shading {
     stamp: u32,
 }
 
-// Arguments of the indirect dispatch over the object's pixels, and those pixels.
-struct Work {
-    groups: array<atomic<u32>, 3>,
-    count: atomic<u32>,
-    pixels: array<u32>,
-}
-
-@group(0) @binding(0) var<uniform> camera: Camera;
-@group(0) @binding(1) var<uniform> shading: Shading;
-@group(0) @binding(2) var g_buffer_a: texture_2d<f32>;
-@group(0) @binding(3) var g_buffer_b: texture_2d<f32>;
-@group(0) @binding(4) var<storage, read> sample_points: array<vec4<f32>>;
+@group(1) @binding(0) var<storage, read> object_triangles: array<u32>;
+@group(1) @binding(1) var<storage, read> object_vertices: array<ObjectVertex>;
+@group(1) @binding(2) var<uniform> shading: Shading;
+@group(1) @binding(3) var<storage, read> sample_points: array<vec4<f32>>;
 // Four 16-bit indices a texel, the first in the low half.
-@group(0) @binding(5) var<storage, read> sample_maps: array<vec2<u32>>;
-@group(0) @binding(6) var<storage, read> indirection: array<u32>;
-@group(0) @binding(7) var<storage, read_write> touched: array<atomic<u32>>;
-@group(0) @binding(8) var<storage, read_write> work: Work;
-// Per pixel R, G, B; then for all pixels distance; then provenance.
-@group(0) @binding(9) var<storage, read_write> output: array<u32>;
+@group(1) @binding(4) var<storage, read> sample_maps: array<vec2<u32>>;
+@group(1) @binding(5) var<storage, read> indirection: array<u32>;
+@group(1) @binding(6) var<storage, read_write> touched: array<atomic<u32>>;
 
 // Component and Blend, as kernel.rs numbers them.
 override COMPONENT: u32 = 0u;
@@ -49,12 +37,8 @@ const NO_SAMPLE: u32 = 0xffffu;
 const HIT: u32 = 1u;
 const FILLED: u32 = 2u;
 const UNKNOWN_ANSWER: u32 = 3u;
-const PROVENANCE_BACKGROUND: u32 = 0x3fffffffu;
-const PROVENANCE_UNKNOWN: u32 = 0xffffffffu;
 // cos 65°
 const COS_HORIZON: f32 = 0.42261826;
-
-const GROUP_SIZE: u32 = 64u;
 
 struct Shaded {
     radiance: vec3<f32>,
@@ -295,11 +279,10 @@ fn worse(own: u32, reflected: u32) -> u32 {
     return select(own, reflected, (reflected >> 30u) > (own >> 30u));
 }
 
-fn shade_object(direction: vec3<f32>, a: vec4<f32>, n: vec3<f32>) -> Shaded {
-    let back = a.z < 0.0;
-    let part = u32(select(a.z, -4.0 - a.z, back));
-    let x = camera.position + a.w * direction;
-    let candidates = candidates_at(part, a.xy);
+fn shade_object(direction: vec3<f32>, point: ObjectPoint) -> Shaded {
+    let n = point.normal;
+    let x = camera.position + point.distance * direction;
+    let candidates = candidates_at(point.part, point.uv);
     var shaded: Shaded;
     if COMPONENT == RECONSTRUCTION {
         shaded = reconstruct(x, n, candidates);
@@ -310,54 +293,17 @@ fn shade_object(direction: vec3<f32>, a: vec4<f32>, n: vec3<f32>) -> Shaded {
         let reflected = mirror(x, n, direction, candidates);
         shaded = Shaded(own.radiance + reflected.radiance, worse(own.provenance, reflected.provenance));
     }
-    return Shaded(shaded.radiance, select(shaded.provenance, PROVENANCE_UNKNOWN, back));
-}
-
-// By its bits, since compilers may assume that there is no NaN.
-fn is_finite(v: f32) -> bool {
-    return (bitcast<u32>(v) & 0x7f800000u) != 0x7f800000u;
-}
-
-fn write_pixel(index: u32, radiance: vec3<f32>, distance: f32, provenance: u32) {
-    let finite = is_finite(radiance.x) && is_finite(radiance.y) && is_finite(radiance.z);
-    let pixels = camera.size.x * camera.size.y;
-    let color = select(vec3(0u), bitcast<vec3<u32>>(radiance), finite);
-    output[3u * index] = color.x;
-    output[3u * index + 1u] = color.y;
-    output[3u * index + 2u] = color.z;
-    output[3u * pixels + index] = bitcast<u32>(select(camera.infinity, distance, is_finite(distance)));
-    output[4u * pixels + index] = select(PROVENANCE_UNKNOWN, provenance, finite);
-}
-
-@compute @workgroup_size(64)
-fn classify(@builtin(global_invocation_id) id: vec3<u32>) {
-    if id.x >= camera.size.x {
-        return;
-    }
-    let index = id.y * camera.size.x + id.x;
-    let a = textureLoad(g_buffer_a, id.xy, 0);
-    // −1 background, −2 nothing, −3 unknown; the object is 0 and above, or −4 and below from behind.
-    if a.z < -3.5 || a.z > -0.5 {
-        let place = atomicAdd(&work.count, 1u);
-        work.pixels[place] = index;
-        if place % GROUP_SIZE == 0u {
-            atomicAdd(&work.groups[0], 1u);
-        }
-        return;
-    }
-    let radiance = textureLoad(g_buffer_b, id.xy, 0).rgb;
-    write_pixel(index, radiance, a.w, select(PROVENANCE_BACKGROUND, PROVENANCE_UNKNOWN, a.z < -2.5));
+    return Shaded(shaded.radiance, select(PROVENANCE_UNKNOWN, shaded.provenance, point.front));
 }
 
 @compute @workgroup_size(64)
 fn shade(@builtin(global_invocation_id) id: vec3<u32>) {
-    if id.x >= atomicLoad(&work.count) {
+    if id.x >= atomicLoad(&work.lists[OBJECT_LIST].count) {
         return;
     }
-    let index = work.pixels[id.x];
-    let at = vec2(index % camera.size.x, index / camera.size.x);
-    let a = textureLoad(g_buffer_a, at, 0);
-    let n = textureLoad(g_buffer_b, at, 0).xyz;
-    let shaded = shade_object(pixel_direction(camera, at.x, at.y), a, n);
-    write_pixel(index, shaded.radiance, a.w, shaded.provenance);
+    let at = listed_pixel(OBJECT_LIST, id.x);
+    let direction = direction_of(at);
+    let point = object_point(direction, visible_triangle(at) - 1u);
+    let shaded = shade_object(direction, point);
+    write_pixel(at, shaded.radiance, point.distance, shaded.provenance);
 }

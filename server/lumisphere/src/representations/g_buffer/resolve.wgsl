@@ -1,0 +1,31 @@
+// For tests: the whole G-buffer, laid out as `GBufferPixel` says, two elements a pixel.
+
+@group(2) @binding(0) var<storage, read> object_triangles: array<u32>;
+@group(2) @binding(1) var<storage, read> object_vertices: array<ObjectVertex>;
+@group(2) @binding(2) var<storage, read_write> resolved: array<vec4<f32>>;
+
+@compute @workgroup_size(64)
+fn resolve(@builtin(global_invocation_id) id: vec3<u32>) {
+    if id.x >= band_pixels() {
+        return;
+    }
+    let at = vec2(id.x % camera.size.x, id.x / camera.size.x);
+    let direction = direction_of(at);
+    let list = list_of(at);
+    let triangle = visible_triangle(at) - 1u;
+    var a = vec4(0.0, 0.0, -2.0, camera.infinity);
+    var b = vec3(0.0);
+    if list == OBJECT_LIST {
+        let point = object_point(direction, triangle);
+        a = vec4(point.uv, select(-4.0 - f32(point.part), f32(point.part), point.front), point.distance);
+        b = point.normal;
+    } else if list == SKY_LIST {
+        b = environment_radiance(direction);
+    } else {
+        let point = background_point(direction, triangle - camera.object_end);
+        a = vec4(point.uv, select(-1.0, -3.0, point.unknown), point.distance);
+        b = point.radiance;
+    }
+    resolved[2u * id.x] = a;
+    resolved[2u * id.x + 1u] = vec4(b, 0.0);
+}
