@@ -9,6 +9,15 @@ pub(super) struct Discrete {
     guide: Vec<u32>,
 }
 
+/// What was drawn.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Choice {
+    pub index: usize,
+    pub probability: f32,
+    /// Where the uniform number lay within the index's share: uniform again, in [0, 1).
+    pub rest: f32,
+}
+
 impl Discrete {
     /// None when there is no weight above zero. Weights are finite and not negative.
     pub fn new(weights: &[f64]) -> Option<Self> {
@@ -16,17 +25,7 @@ impl Discrete {
         if !(total > 0.0) {
             return None;
         }
-        let mut sum = 0.0;
-        let mut cumulative: Vec<f32> = weights
-            .iter()
-            .map(|w| {
-                sum += w;
-                (sum / total) as f32
-            })
-            .collect();
-        // Rounding must not leave a gap below 1 that a uniform number could fall into, nor give it to a trailing zero weight.
-        let last = weights.iter().rposition(|w| *w > 0.0).unwrap_or(0);
-        cumulative[last..].fill(1.0);
+        let cumulative = cumulate(weights, total);
         let mut index = 0;
         let guide = (0..weights.len())
             .map(|k| {
@@ -40,9 +39,9 @@ impl Discrete {
         Some(Self { cumulative, guide })
     }
 
-    /// The index for u ∈ [0, 1), its probability, and u's position within it, again in [0, 1).
+    /// The index for u ∈ [0, 1).
     #[inline]
-    pub fn choose(&self, u: f32) -> (usize, f32, f32) {
+    pub fn choose(&self, u: f32) -> Choice {
         let bucket = ((u * self.guide.len() as f32) as usize).min(self.guide.len() - 1);
         let mut index = self.guide[bucket] as usize;
         // The product above may round into the next bucket.
@@ -52,16 +51,47 @@ impl Discrete {
         while index + 1 < self.cumulative.len() && self.cumulative[index] <= u {
             index += 1;
         }
-        let below = if index == 0 { 0.0 } else { self.cumulative[index - 1] };
-        let probability = self.cumulative[index] - below;
-        (index, probability, ((u - below) / probability).min(ALMOST_ONE))
+        chosen(&self.cumulative, index, u)
     }
 
     /// Probability of an index.
     #[inline]
     pub fn probability(&self, index: usize) -> f32 {
-        self.cumulative[index] - if index == 0 { 0.0 } else { self.cumulative[index - 1] }
+        probability(&self.cumulative, index)
     }
+}
+
+/// `[i]` = Σ_{j ≤ i} wⱼ / total. Some weight is above zero.
+pub(super) fn cumulate(weights: &[f64], total: f64) -> Vec<f32> {
+    let mut sum = 0.0;
+    let add = |w: &f64| {
+        sum += w;
+        (sum / total) as f32
+    };
+    let mut cumulative: Vec<f32> = weights.iter().map(add).collect();
+    // Rounding must not leave a gap below 1 that a uniform number could fall into, nor give it to a trailing zero weight.
+    let last = weights.iter().rposition(|w| *w > 0.0).unwrap_or(0);
+    cumulative[last..].fill(1.0);
+    cumulative
+}
+
+/// The choice of `Discrete` from cumulative weights alone, by bisection: for short tables that share one allocation.
+#[inline]
+pub(super) fn choose_in(cumulative: &[f32], u: f32) -> Choice {
+    chosen(cumulative, cumulative.partition_point(|c| *c <= u).min(cumulative.len() - 1), u)
+}
+
+/// Probability of an index.
+#[inline]
+pub(super) fn probability(cumulative: &[f32], index: usize) -> f32 {
+    cumulative[index] - if index == 0 { 0.0 } else { cumulative[index - 1] }
+}
+
+#[inline]
+fn chosen(cumulative: &[f32], index: usize, u: f32) -> Choice {
+    let below = if index == 0 { 0.0 } else { cumulative[index - 1] };
+    let probability = cumulative[index] - below;
+    Choice { index, probability, rest: ((u - below) / probability).min(ALMOST_ONE) }
 }
 
 /// The largest f32 below 1.
@@ -77,7 +107,9 @@ mod tests {
         let choice = Discrete::new(&weights).unwrap();
         for k in 0..800 {
             let u = k as f32 / 800.0;
-            let (index, probability, rest) = choice.choose(u);
+            let Choice { index, probability, rest } = choice.choose(u);
+            let bisected = choose_in(&cumulate(&weights, 8.0), u);
+            assert_eq!((bisected.index, bisected.probability, bisected.rest), (index, probability, rest));
             let below: f64 = weights[..index].iter().sum::<f64>() / 8.0;
             assert!(weights[index] > 0.0);
             assert!((probability as f64 - weights[index] / 8.0).abs() < 1e-6 && probability == choice.probability(index));

@@ -4,8 +4,9 @@ use std::f32::consts::PI;
 
 use glam::{Vec2, Vec3};
 
-use super::distribution::Discrete;
+use super::distribution::{Choice, Discrete};
 use super::sky::{Sky, luminance};
+use super::sky_cells::NormalBin;
 use super::surfaces::{SurfaceTriangle, offset_along};
 use super::warp;
 use crate::scenes::{PointLight, Scene};
@@ -103,32 +104,38 @@ impl Lights {
         (radiance, per_area * distance * distance / cosine)
     }
 
-    /// Radiance from infinity and the density with which `sample` draws that direction.
-    pub fn sky_radiance(&self, direction: Vec3) -> (Vec3, f32) {
-        let (radiance, pdf) = self.sky.eval(direction);
+    /// Whether a sky is all that `sample` draws from: then it draws well enough for a Lambertian surface to need nothing else.
+    pub fn only_sky(&self) -> bool {
+        let sky = matches!(&self.sky, Sky::Map(map) if map.can_be_sampled());
+        sky && self.area.is_none() && self.point_choice.is_none()
+    }
+
+    /// Radiance from infinity and the density with which `sample` draws that direction for a normal in `bin`.
+    pub fn sky_radiance(&self, direction: Vec3, bin: NormalBin) -> (Vec3, f32) {
+        let (radiance, pdf) = self.sky.eval(direction, bin);
         (radiance, pdf * self.kind.as_ref().map_or(0.0, |k| k.probability(SKY)))
     }
 
-    /// One emitter, chosen by power, seen from `from`. `choice` ∈ [0, 1) picks it, `u` the place on it.
-    pub fn sample(&self, triangles: &[SurfaceTriangle], from: Vec3, choice: f32, u: Vec2) -> Option<LightSample> {
-        let (kind, share, choice) = self.kind.as_ref()?.choose(choice);
+    /// One emitter, chosen by power, seen from `from` by a surface with a normal in `bin`. `choice` ∈ [0, 1) picks it, `u` the place on it.
+    pub fn sample(&self, triangles: &[SurfaceTriangle], from: Vec3, bin: NormalBin, choice: f32, u: Vec2) -> Option<LightSample> {
+        let Choice { index: kind, probability: share, rest: choice } = self.kind.as_ref()?.choose(choice);
         match kind {
-            SKY => self.sample_sky(share, u),
+            SKY => self.sample_sky(share, bin, u),
             AREA => self.sample_area(triangles, share, from, choice, u),
             _ => self.sample_point(share, from, choice),
         }
     }
 
-    fn sample_sky(&self, share: f32, u: Vec2) -> Option<LightSample> {
+    fn sample_sky(&self, share: f32, bin: NormalBin, u: Vec2) -> Option<LightSample> {
         let Sky::Map(map) = &self.sky else { return None };
-        let sample = map.sample(u)?;
+        let sample = map.sample(u, bin)?;
         let pdf = share * sample.pdf;
         Some(LightSample { direction: sample.direction, radiance_over_pdf: sample.radiance / pdf, pdf: Some(pdf), end: None })
     }
 
     fn sample_area(&self, triangles: &[SurfaceTriangle], share: f32, from: Vec3, choice: f32, u: Vec2) -> Option<LightSample> {
         let (emitting, by_power) = self.area.as_ref()?;
-        let (index, probability, _) = by_power.choose(choice);
+        let Choice { index, probability, .. } = by_power.choose(choice);
         let triangle = &triangles[emitting[index] as usize];
         let weights = warp::triangle(u);
         let position = triangle.position(weights.x, weights.y);
@@ -151,7 +158,7 @@ impl Lights {
     }
 
     fn sample_point(&self, share: f32, from: Vec3, choice: f32) -> Option<LightSample> {
-        let (index, probability, _) = self.point_choice.as_ref()?.choose(choice);
+        let Choice { index, probability, .. } = self.point_choice.as_ref()?.choose(choice);
         let light = &self.points[index];
         let to_light = light.position - from;
         let distance_squared = to_light.length_squared();

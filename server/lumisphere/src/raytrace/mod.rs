@@ -8,13 +8,18 @@
 //! (which have no extent to be hit: their caustics are missing).
 
 mod bvh;
+mod coherence;
 mod distribution;
+#[expect(unsafe_code, reason = "AVX2 behind a question to the processor; audited there")]
+mod lanes;
 mod lights;
 mod low_discrepancy;
+mod packets;
 mod path;
 mod render;
 mod scattering;
 mod sky;
+mod sky_cells;
 mod surfaces;
 mod tracer;
 mod traverse;

@@ -1,15 +1,22 @@
-//! Radiance along a ray: unidirectional path tracing with next-event estimation and multiple importance sampling (Veach 1997,
-//! power heuristic), Russian roulette after a few bounces.
+//! Radiance along rays: unidirectional path tracing with next-event estimation and multiple importance sampling (Veach 1997, power
+//! heuristic), Russian roulette after a few bounces.
+//!
+//! Many paths go side by side, bounce by bounce (a wavefront: Laine, Karras & Aila 2013): in packets of eight to their next surfaces, one
+//! after the other through shading, then their shadow rays in packets, sorted by direction. A path draws its own numbers, so what it
+//! finds does not depend on its neighbours.
 
-use glam::{Vec2, Vec3};
+use glam::Vec3;
 
+use super::bvh::Bvh;
+use super::coherence::{direction_key, sort_by_key};
 use super::lights::Lights;
 use super::low_discrepancy::SampleSequence;
-use super::scattering::{Scatterer, facing};
+use super::packets::{PacketStack, RAYS, RayPacket};
+use super::scattering::{Lobe, Scatterer, facing};
+use super::sky_cells::NormalBin;
 use super::surfaces::{Reflectance, SurfacePoint, SurfaceTriangle, TexelGrid, offset_along};
-use super::traverse::Stack;
+use super::traverse::RawHit;
 use super::warp::power_heuristic;
-use super::{bvh::Bvh, scattering::Lobe};
 
 /// Everything a path reads: shared, immutable.
 #[derive(Debug)]
@@ -30,23 +37,43 @@ pub(super) struct Look {
     pub mirrored_once: Vec<Option<Vec3>>,
 }
 
-/// One thread's walk through the world.
+/// One thread's walk through the world: put paths in, `trace` them, read `radiance`, `clear`.
 #[derive(Debug)]
 pub(super) struct PathTracer<'a> {
-    pub world: &'a World,
-    pub look: &'a Look,
-    pub max_bounces: u32,
-    pub stack: Stack,
+    world: &'a World,
+    look: &'a Look,
+    max_bounces: u32,
+    paths: Vec<Path>,
+    /// Indices of the paths that go on.
+    live: Vec<u32>,
+    shadows: Vec<ShadowRay>,
+    order: Vec<u32>,
+    stack: PacketStack,
 }
 
-/// A ray under way: where it starts, what it will be weighted with.
+/// A path under way: where its next ray starts, what that will be weighted with, what was gathered so far.
 #[derive(Debug, Clone, Copy)]
-struct Segment {
+struct Path {
     origin: Vec3,
     direction: Vec3,
     throughput: Vec3,
-    // Density with which the direction was drawn, if light sampling could have drawn it too.
+    /// Density with which the direction was drawn, if light sampling could have drawn it too.
     pdf: Option<f32>,
+    /// How light sampling drew where the ray starts.
+    bin: NormalBin,
+    radiance: Vec3,
+    random: SampleSequence,
+}
+
+/// Light on its way to a path, unless something is in between.
+#[derive(Debug, Clone, Copy)]
+struct ShadowRay {
+    origin: Vec3,
+    /// To the light's end at 1, or a direction when the light is infinitely far.
+    direction: Vec3,
+    limit: f32,
+    arriving: Vec3,
+    path: u32,
 }
 
 // Paths shorter than this are never cut: the first bounces carry most of the light.
@@ -56,104 +83,210 @@ const BOUNCES_BEFORE_ROULETTE: u32 = 3;
 const LARGEST_SURVIVAL: f32 = 0.95;
 
 impl<'a> PathTracer<'a> {
-    /// Nearest surface along a ray.
-    pub fn nearest(&mut self, origin: Vec3, direction: Vec3) -> Option<SurfacePoint<'a>> {
-        let hit = self.world.bvh.nearest(origin, direction, f32::INFINITY, &mut self.stack)?;
-        Some(SurfacePoint::new(&self.world.triangles, hit))
+    pub fn new(world: &'a World, look: &'a Look, max_bounces: u32) -> Self {
+        let (paths, live, shadows, order) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        Self { world, look, max_bounces, paths, live, shadows, order, stack: PacketStack::default() }
     }
 
-    /// Radiance arriving at `origin` from `direction` (unit): emitters seen directly and up to `max_bounces` reflections.
-    pub fn radiance(&mut self, origin: Vec3, direction: Vec3, random: &mut SampleSequence) -> Vec3 {
-        self.follow(Segment { origin, direction, throughput: Vec3::ONE, pdf: None }, 0, random)
-    }
-
-    /// The same for a ray from the camera, which sees `mirrored_once` objects as mirrors.
-    pub fn camera_radiance(&mut self, origin: Vec3, direction: Vec3, random: &mut SampleSequence) -> Vec3 {
-        if self.look.mirrored_once.iter().all(Option::is_none) {
-            return self.radiance(origin, direction, random);
+    /// Nearest surface along each ray, in order.
+    pub fn nearest(&mut self, rays: impl Iterator<Item = (Vec3, Vec3)>, mut met: impl FnMut(usize, Option<SurfacePoint<'a>>)) {
+        let mut rays = rays.enumerate().peekable();
+        while let Some((first, _)) = rays.peek().copied() {
+            let mut packet = RayPacket::EMPTY;
+            let count =
+                (&mut rays).take(RAYS).map(|(i, (origin, direction))| packet.set(i - first, origin, direction, f32::INFINITY)).count();
+            let hits = self.world.bvh.nearest_of_packet(&packet, &mut self.stack);
+            for (lane, hit) in hits.into_iter().enumerate().take(count) {
+                met(first + lane, hit.map(|hit| SurfacePoint::new(&self.world.triangles, hit)));
+            }
         }
-        let Some(point) = self.nearest(origin, direction) else { return self.radiance(origin, direction, random) };
-        let Some(reflectance) = self.look.mirrored_once[point.triangle.object as usize] else {
-            return self.radiance(origin, direction, random);
-        };
-        let (geometric_normal, shading_normal) = facing(&point, -direction);
-        let mirror = Scatterer { geometric_normal, shading_normal, wo: -direction, lobe: Lobe::Mirror(reflectance) };
-        let reflected = mirror.mirrored();
-        let from = leave(&point, reflected);
-        reflectance * self.radiance(from, reflected, random)
     }
 
-    /// Irradiance on a surface element facing `normal`, at `position` just off any surface: one sample.
-    pub fn irradiance(&mut self, position: Vec3, normal: Vec3, random: &mut SampleSequence) -> Vec3 {
+    /// Forgets all paths.
+    pub fn clear(&mut self) {
+        self.paths.clear();
+        self.live.clear();
+    }
+
+    /// A path that asks for the radiance arriving at `origin` from `direction` (unit): emitters seen directly and up to `max_bounces`
+    /// reflections.
+    pub fn push(&mut self, origin: Vec3, direction: Vec3, random: SampleSequence) {
+        self.live.push(self.paths.len() as u32);
+        self.paths.push(Path { origin, direction, throughput: Vec3::ONE, pdf: None, bin: NormalBin::ANY, radiance: Vec3::ZERO, random });
+    }
+
+    /// A path that asks for the irradiance on a surface element facing `normal`, at `position` just off any surface.
+    pub fn push_element(&mut self, position: Vec3, normal: Vec3, random: SampleSequence) {
         // A white Lambertian element: E = π · L of its reflection.
         let element = Scatterer { geometric_normal: normal, shading_normal: normal, wo: normal, lobe: Lobe::Lambert(Vec3::ONE) };
-        let direct = self.direct(position, &element, random);
-        let rest = match element.sample(random.pair()) {
-            Some(s) => self.follow(Segment { origin: position, direction: s.wi, throughput: s.weight, pdf: s.pdf }, 0, random),
-            None => Vec3::ZERO,
+        let index = self.paths.len() as u32;
+        let throughput = Vec3::splat(std::f32::consts::PI);
+        self.paths.push(Path {
+            origin: position,
+            direction: normal,
+            throughput,
+            pdf: None,
+            bin: NormalBin::ANY,
+            radiance: Vec3::ZERO,
+            random,
+        });
+        if self.scatter(index, position, &element, 0) {
+            self.live.push(index);
+        }
+    }
+
+    /// The paths, which come from a camera, see `mirrored_once` objects as mirrors.
+    pub fn reflect_once(&mut self) {
+        if self.look.mirrored_once.iter().all(Option::is_none) {
+            return;
+        }
+        let live = std::mem::take(&mut self.live);
+        self.for_each_hit(&live, |tracer, index, hit| {
+            let Some(point) = hit.map(|hit| SurfacePoint::new(&tracer.world.triangles, hit)) else { return };
+            let Some(reflectance) = tracer.look.mirrored_once[point.triangle.object as usize] else { return };
+            let path = &mut tracer.paths[index as usize];
+            let (geometric_normal, shading_normal) = facing(&point, -path.direction);
+            let mirror = Scatterer { geometric_normal, shading_normal, wo: -path.direction, lobe: Lobe::Mirror(reflectance) };
+            path.direction = mirror.mirrored();
+            path.origin = leave(&point, path.direction);
+            path.throughput = reflectance;
+        });
+        self.live = live;
+    }
+
+    /// Follows all paths to their ends.
+    pub fn trace(&mut self) {
+        self.resolve_shadows();
+        for bounces in 0..=self.max_bounces {
+            if self.live.is_empty() {
+                return;
+            }
+            if bounces > 0 {
+                let paths = &self.paths;
+                sort_by_key(&mut self.live, &mut self.order, |index| direction_key(paths[*index as usize].direction));
+            }
+            let live = std::mem::take(&mut self.live);
+            let mut next = Vec::with_capacity(live.len());
+            self.for_each_hit(&live, |tracer, index, hit| {
+                if tracer.meet(index, hit, bounces) {
+                    next.push(index);
+                }
+            });
+            self.live = next;
+            self.resolve_shadows();
+        }
+    }
+
+    /// What each path found, in the order of pushing.
+    pub fn radiance(&self) -> impl Iterator<Item = Vec3> {
+        self.paths.iter().map(|p| p.radiance)
+    }
+
+    fn for_each_hit(&mut self, paths: &[u32], mut met: impl FnMut(&mut Self, u32, Option<RawHit>)) {
+        for indices in paths.chunks(RAYS) {
+            let mut packet = RayPacket::EMPTY;
+            for (lane, index) in indices.iter().enumerate() {
+                let path = &self.paths[*index as usize];
+                packet.set(lane, path.origin, path.direction, f32::INFINITY);
+            }
+            let hits = self.world.bvh.nearest_of_packet(&packet, &mut self.stack);
+            indices.iter().zip(hits).for_each(|(index, hit)| met(self, *index, hit));
+        }
+    }
+
+    /// Takes in what a path's ray met after so many reflections. Whether the path goes on.
+    fn meet(&mut self, index: u32, hit: Option<RawHit>, bounces: u32) -> bool {
+        let path = &mut self.paths[index as usize];
+        let Some(hit) = hit else {
+            let (sky, pdf) = self.world.lights.sky_radiance(path.direction, path.bin);
+            path.radiance += path.throughput * sky * weight_against_light(path.pdf, pdf);
+            return false;
         };
-        std::f32::consts::PI * (direct + rest)
+        let point = SurfacePoint::new(&self.world.triangles, hit);
+        let (emitted, pdf) = self.world.lights.emitted(point.triangle, -path.direction, point.distance);
+        if emitted != Vec3::ZERO {
+            path.radiance += path.throughput * emitted * weight_against_light(path.pdf, pdf);
+        }
+        if bounces == self.max_bounces {
+            return false;
+        }
+        let reflectance = self.look.reflectance[point.triangle.object as usize];
+        let scatterer = Scatterer::new(&point, reflectance, &self.world.textures, -path.direction);
+        self.scatter(index, leave(&point, scatterer.geometric_normal), &scatterer, bounces + 1)
     }
 
-    fn follow(&mut self, mut ray: Segment, mut bounces: u32, random: &mut SampleSequence) -> Vec3 {
-        let mut radiance = Vec3::ZERO;
-        loop {
-            let last = bounces == self.max_bounces;
-            if last && bounces > 0 && !self.world.lights.has_area_lights() {
-                return radiance + self.unoccluded_sky(&ray);
-            }
-            let Some(point) = self.nearest(ray.origin, ray.direction) else {
-                let (sky, pdf) = self.world.lights.sky_radiance(ray.direction);
-                return radiance + ray.throughput * sky * weight_against_light(ray.pdf, pdf);
-            };
-            let (emitted, pdf) = self.world.lights.emitted(point.triangle, -ray.direction, point.distance);
-            if emitted != Vec3::ZERO {
-                radiance += ray.throughput * emitted * weight_against_light(ray.pdf, pdf);
-            }
-            if last {
-                return radiance;
-            }
-            let reflectance = self.look.reflectance[point.triangle.object as usize];
-            let scatterer = Scatterer::new(&point, reflectance, &self.world.textures, -ray.direction);
-            let position = point.triangle.position(point.u, point.v);
-            if !matches!(scatterer.lobe, Lobe::Mirror(_)) {
-                let from = offset_along(position, scatterer.geometric_normal, point.triangle.rounding, scatterer.geometric_normal);
-                radiance += ray.throughput * self.direct(from, &scatterer, random);
-            }
-            let Some(scattered) = scatterer.sample(random.pair()) else { return radiance };
-            bounces += 1;
-            let Some(throughput) = survive(ray.throughput * scattered.weight, bounces, random) else { return radiance };
-            ray = Segment { origin: leave(&point, scattered.wi), direction: scattered.wi, throughput, pdf: scattered.pdf };
+    /// Light at a vertex, and the way on from it: `from` lies just off the surface, on the side of all that `scatterer` reflects to.
+    /// `bounces`: reflections before the next ray. Whether the path goes on.
+    fn scatter(&mut self, index: u32, from: Vec3, scatterer: &Scatterer, bounces: u32) -> bool {
+        let path = &mut self.paths[index as usize];
+        path.bin = scatterer.normal_bin();
+        // The path ends here where light sampling alone does: a last ray would cost more than it calms.
+        let last = bounces == self.max_bounces && self.world.lights.only_sky() && matches!(scatterer.lobe, Lobe::Lambert(_));
+        let strategy = if last { Strategy::LightAlone } else { Strategy::LightAndReflection };
+        if !matches!(scatterer.lobe, Lobe::Mirror(_))
+            && let Some(mut shadow) = self.world.direct(from, scatterer, strategy, &mut path.random)
+        {
+            shadow.arriving *= path.throughput;
+            shadow.path = index;
+            self.shadows.push(shadow);
         }
+        if last {
+            return false;
+        }
+        let Some(scattered) = scatterer.sample(path.random.pair()) else { return false };
+        let Some(throughput) = survive(path.throughput * scattered.weight, bounces, &mut path.random) else { return false };
+        (path.origin, path.direction, path.throughput, path.pdf) = (from, scattered.wi, throughput, scattered.pdf);
+        if bounces < self.max_bounces || self.world.lights.has_area_lights() {
+            return true;
+        }
+        // The last ray, where only the sky emits: no need to know what is hit.
+        let (sky, pdf) = self.world.lights.sky_radiance(path.direction, path.bin);
+        let arriving = path.throughput * sky * weight_against_light(path.pdf, pdf);
+        if arriving != Vec3::ZERO {
+            self.shadows.push(ShadowRay { origin: from, direction: path.direction, limit: f32::INFINITY, arriving, path: index });
+        }
+        false
     }
 
-    /// Reflected light of one sampled emitter, weighted against sampling the reflection.
-    fn direct(&mut self, from: Vec3, scatterer: &Scatterer, random: &mut SampleSequence) -> Vec3 {
-        if !self.world.lights.can_be_sampled() {
-            return Vec3::ZERO;
+    /// Lets the light through that nothing blocks.
+    fn resolve_shadows(&mut self) {
+        sort_by_key(&mut self.shadows, &mut self.order, |shadow| direction_key(shadow.direction));
+        for rays in self.shadows.chunks(RAYS) {
+            let mut packet = RayPacket::EMPTY;
+            rays.iter().enumerate().for_each(|(lane, ray)| packet.set(lane, ray.origin, ray.direction, ray.limit));
+            let blocked = self.world.bvh.any_of_packet(&packet, &mut self.stack);
+            for (_, ray) in rays.iter().enumerate().filter(|(lane, _)| blocked >> lane & 1 == 0) {
+                self.paths[ray.path as usize].radiance += ray.arriving;
+            }
         }
-        let (choice, u) = (random.pair().x, random.pair());
-        let Some(light) = self.world.lights.sample(&self.world.triangles, from, choice, u) else { return Vec3::ZERO };
+        self.shadows.clear();
+    }
+}
+
+/// What finds the light that arrives at a vertex.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Strategy {
+    /// A sampled light and a sampled reflection, each weighted against the other.
+    LightAndReflection,
+    LightAlone,
+}
+
+impl World {
+    /// Reflected light of one sampled emitter; whose path it is, the caller fills in.
+    fn direct(&self, from: Vec3, scatterer: &Scatterer, strategy: Strategy, random: &mut SampleSequence) -> Option<ShadowRay> {
+        if !self.lights.can_be_sampled() {
+            return None;
+        }
+        let choice = if self.lights.only_sky() { 0.0 } else { random.pair().x };
+        let light = self.lights.sample(&self.triangles, from, scatterer.normal_bin(), choice, random.pair())?;
         let (value, pdf) = scatterer.eval(light.direction);
-        let reflected = value * light.radiance_over_pdf * light.pdf.map_or(1.0, |taken| power_heuristic(taken, pdf));
-        if reflected == Vec3::ZERO || self.blocked(from, light.direction, light.end) {
-            return Vec3::ZERO;
-        }
-        reflected
-    }
-
-    fn blocked(&mut self, from: Vec3, direction: Vec3, end: Option<Vec3>) -> bool {
-        match end {
-            Some(end) => self.world.bvh.any(from, end - from, 1.0, &mut self.stack),
-            None => self.world.bvh.any(from, direction, f32::INFINITY, &mut self.stack),
-        }
-    }
-
-    /// The last segment of a path where only the sky emits: no need to know what is hit.
-    fn unoccluded_sky(&mut self, ray: &Segment) -> Vec3 {
-        let (sky, pdf) = self.world.lights.sky_radiance(ray.direction);
-        let arriving = ray.throughput * sky * weight_against_light(ray.pdf, pdf);
-        if arriving == Vec3::ZERO || self.blocked(ray.origin, ray.direction, None) { Vec3::ZERO } else { arriving }
+        let weight = match (strategy, light.pdf) {
+            (Strategy::LightAndReflection, Some(taken)) => power_heuristic(taken, pdf),
+            _ => 1.0,
+        };
+        let arriving = value * light.radiance_over_pdf * weight;
+        let (direction, limit) = light.end.map_or((light.direction, f32::INFINITY), |end| (end - from, 1.0));
+        (arriving != Vec3::ZERO).then_some(ShadowRay { origin: from, direction, limit, arriving, path: 0 })
     }
 }
 
@@ -184,15 +317,4 @@ impl Look {
         let mirrored_once = vec![None; reflectance.len()];
         Self { reflectance, mirrored_once }
     }
-}
-
-/// Fibonacci directions: `count` unit vectors spread evenly over the sphere.
-pub(super) fn even_directions(count: u32) -> impl Iterator<Item = Vec3> {
-    // 2π(1 − 1/φ): the golden angle.
-    const GOLDEN_ANGLE: f32 = 2.399_963_2;
-    (0..count).map(move |i| {
-        let y = 1.0 - (2.0 * i as f32 + 1.0) / count as f32;
-        let at = Vec2::from_angle(GOLDEN_ANGLE * i as f32) * (1.0 - y * y).sqrt();
-        Vec3::new(at.x, y, at.y)
-    })
 }

@@ -44,6 +44,9 @@ pub struct TracedImage {
 // Pixels along the edge of a tile: neighbours share nodes in the cache, and a picture has tiles enough for many threads.
 const TILE: usize = 16;
 
+// Samples of a tile's pixels that go side by side: what 16 × 16 × 16 paths carry fits the second-level cache.
+const SAMPLES_AT_ONCE: u32 = 16;
+
 /// Mean and variance of the mean of one pixel, and what its central ray hit.
 #[derive(Debug, Clone, Copy)]
 struct Pixel {
@@ -62,15 +65,17 @@ impl Tracer {
         let pixels = tiles.trace(
             progress,
             || self.paths(settings.max_bounces),
-            |paths, column, row| {
-                let corner = Vec2::new(column as f32, row as f32);
-                let index = (row * width + column) as u64;
-                let mut pixel = central_hit(paths, camera.ray(corner + 0.5));
-                (pixel.mean, pixel.variance) = estimate(settings, index, |random| {
-                    let ray = camera.ray(corner + random.pair());
-                    paths.camera_radiance(ray.origin, ray.direction, random)
-                });
-                pixel
+            |paths, tile| {
+                let corners: Vec<Vec2> = tile.iter().map(|(column, row)| Vec2::new(*column as f32, *row as f32)).collect();
+                let mut pixels = central_hits(paths, corners.iter().map(|c| camera.ray(*c + 0.5)));
+                let index = |pixel: usize| (tile[pixel].1 * width + tile[pixel].0) as u64;
+                let push = |paths: &mut PathTracer<'_>, pixel: usize, mut random: SampleSequence| {
+                    let ray = camera.ray(corners[pixel] + random.pair());
+                    paths.push(ray.origin, ray.direction, random);
+                };
+                let estimates = estimate(paths, tile.len(), settings, index, push, PathTracer::reflect_once);
+                pixels.iter_mut().zip(estimates).for_each(|(pixel, e)| (pixel.mean, pixel.variance) = (e.mean, e.variance()));
+                pixels
             },
         )?;
         let mut image = TracedImage::empty(width, height);
@@ -94,15 +99,21 @@ impl Tracer {
         let texels = tiles.trace(
             progress,
             || self.paths(settings.max_bounces),
-            |paths, column, row| {
-                let (face, corner) = (row / size, Vec2::new(column as f32, (row % size) as f32));
-                let toward = |at: Vec2| texel_direction(face, size, corner.x + at.x, corner.y + at.y);
-                let distance = paths.nearest(position, toward(Vec2::splat(0.5))).map_or(f32::INFINITY, |p| p.distance);
-                let (mean, _) = estimate(settings, (row * size + column) as u64, |random| {
-                    let direction = toward(random.pair());
-                    paths.radiance(position, direction, random)
-                });
-                [mean.x, mean.y, mean.z, distance]
+            |paths, tile| {
+                let toward = |texel: usize, at: Vec2| {
+                    let (column, row) = tile[texel];
+                    texel_direction(row / size, size, column as f32 + at.x, (row % size) as f32 + at.y)
+                };
+                let mut distances = vec![f32::INFINITY; tile.len()];
+                let central = (0..tile.len()).map(|texel| (position, toward(texel, Vec2::splat(0.5))));
+                paths.nearest(central, |texel, hit| distances[texel] = hit.map_or(f32::INFINITY, |p| p.distance));
+                let index = |texel: usize| (tile[texel].1 * size + tile[texel].0) as u64;
+                let push = |paths: &mut PathTracer<'_>, texel: usize, mut random: SampleSequence| {
+                    let direction = toward(texel, random.pair());
+                    paths.push(position, direction, random);
+                };
+                let estimates = estimate(paths, tile.len(), settings, index, push, |_| ());
+                estimates.iter().zip(distances).map(|(e, distance)| [e.mean.x, e.mean.y, e.mean.z, distance]).collect()
             },
         )?;
         tiles.scatter(&texels, |index, texel| cube.texels[index] = *texel);
@@ -110,25 +121,67 @@ impl Tracer {
     }
 }
 
-/// Mean of the samples of a pixel, and the variance of that mean.
-fn estimate(settings: &TraceSettings, pixel: u64, mut sample: impl FnMut(&mut SampleSequence) -> Vec3) -> (Vec3, Vec3) {
-    let count = settings.samples_per_pixel.max(1);
-    // Welford's recurrence: no cancellation between the sum of squares and the square of the sum.
-    let (mut mean, mut squares) = (Vec3::ZERO, Vec3::ZERO);
-    for s in 0..count {
-        let value = sample(&mut SampleSequence::new(settings.seed, pixel, s));
-        let off = value - mean;
-        mean += off / (s + 1) as f32;
-        squares += off * (value - mean);
-    }
-    (mean, squares / (count.saturating_sub(1).max(1) as f32 * count as f32))
+/// Mean of the samples of a pixel so far (Welford's recurrence: no cancellation between the sum of squares and the square of the sum).
+#[derive(Debug, Clone, Copy)]
+struct Estimate {
+    mean: Vec3,
+    squares: Vec3,
+    count: u32,
 }
 
-fn central_hit(paths: &mut PathTracer, ray: Ray) -> Pixel {
+impl Estimate {
+    const NOTHING: Self = Self { mean: Vec3::ZERO, squares: Vec3::ZERO, count: 0 };
+
+    fn add(&mut self, value: Vec3) {
+        self.count += 1;
+        let off = value - self.mean;
+        self.mean += off / self.count as f32;
+        self.squares += off * (value - self.mean);
+    }
+
+    /// Variance of the mean.
+    fn variance(&self) -> Vec3 {
+        self.squares / (self.count.saturating_sub(1).max(1) as f32 * self.count as f32)
+    }
+}
+
+/// All samples of a tile of `pixels`: `push` starts one path, `ready` is asked before they are traced. `index` names a pixel in the picture: its numbers come from it.
+fn estimate<'a>(
+    paths: &mut PathTracer<'a>,
+    pixels: usize,
+    settings: &TraceSettings,
+    index: impl Fn(usize) -> u64,
+    push: impl Fn(&mut PathTracer<'a>, usize, SampleSequence),
+    ready: impl Fn(&mut PathTracer<'a>),
+) -> Vec<Estimate> {
+    let count = settings.samples_per_pixel.max(1);
+    let mut estimates = vec![Estimate::NOTHING; pixels];
+    for first in (0..count).step_by(SAMPLES_AT_ONCE as usize) {
+        let samples = first..count.min(first + SAMPLES_AT_ONCE);
+        paths.clear();
+        for pixel in 0..pixels {
+            samples.clone().for_each(|s| push(paths, pixel, SampleSequence::new(settings.seed, index(pixel), s)));
+        }
+        ready(paths);
+        paths.trace();
+        for (k, radiance) in paths.radiance().enumerate() {
+            estimates[k / samples.len()].add(radiance);
+        }
+    }
+    estimates
+}
+
+fn central_hits(paths: &mut PathTracer, rays: impl Iterator<Item = Ray> + Clone) -> Vec<Pixel> {
     let miss = Pixel { mean: Vec3::ZERO, variance: Vec3::ZERO, distance: f32::INFINITY, normal: Vec3::ZERO, object: u32::MAX };
-    let Some(point) = paths.nearest(ray.origin, ray.direction) else { return miss };
-    let (_, normal) = facing(&point, -ray.direction);
-    Pixel { distance: point.distance, normal, object: point.triangle.object, ..miss }
+    let directions: Vec<Vec3> = rays.clone().map(|r| r.direction).collect();
+    let mut pixels = vec![miss; directions.len()];
+    paths.nearest(rays.map(|r| (r.origin, r.direction)), |pixel, hit| {
+        if let Some(point) = hit {
+            let (_, normal) = facing(&point, -directions[pixel]);
+            pixels[pixel] = Pixel { distance: point.distance, normal, object: point.triangle.object, ..miss };
+        }
+    });
+    pixels
 }
 
 impl TracedImage {
@@ -173,20 +226,20 @@ impl Tiles {
         (top..bottom).flat_map(move |row| (left..right).map(move |column| (column, row)))
     }
 
-    /// `pixel` for every pixel, tile by tile over all threads; `worker` makes what a thread needs for a tile.
+    /// `trace` for the (column, row)s of every tile, over all threads; `worker` makes what a thread needs for a tile.
     fn trace<W, P: Send>(
         &self,
         progress: &dyn Progress,
         worker: impl Fn() -> W + Sync,
-        pixel: impl Fn(&mut W, usize, usize) -> P + Sync,
+        trace: impl Fn(&mut W, &[(usize, usize)]) -> Vec<P> + Sync,
     ) -> Result<Vec<Vec<P>>, Cancelled> {
         let (done, total) = (AtomicU64::new(0), self.count() as u64);
         let trace_tile = |tile| {
             if progress.is_cancelled() {
                 return Err(Cancelled);
             }
-            let mut worker = worker();
-            let pixels = self.pixels(tile).map(|(column, row)| pixel(&mut worker, column, row)).collect();
+            let positions: Vec<(usize, usize)> = self.pixels(tile).collect();
+            let pixels = trace(&mut worker(), &positions);
             progress.report("tracing", done.fetch_add(1, Ordering::Relaxed) + 1, total);
             Ok(pixels)
         };

@@ -4,6 +4,7 @@ use std::f32::consts::{FRAC_1_PI, PI};
 
 use glam::{Vec2, Vec3};
 
+use super::sky_cells::NormalBin;
 use super::surfaces::{Reflectance, SurfacePoint, TexelGrid};
 use super::warp;
 use crate::geometry::TangentFrame;
@@ -47,6 +48,12 @@ impl Scatterer {
             Reflectance::Ggx { alpha, reflectance } => Lobe::Ggx { alpha, reflectance },
         };
         Self { geometric_normal, shading_normal, wo, lobe }
+    }
+
+    /// By which normals light is to be sampled.
+    #[inline]
+    pub fn normal_bin(&self) -> NormalBin {
+        if matches!(self.lobe, Lobe::Lambert(_)) { NormalBin::of(self.shading_normal) } else { NormalBin::ANY }
     }
 
     /// brdf · cosine and the density with which `sample` draws `wi` (solid angle). Zero for a mirror and below the surface:

@@ -1,13 +1,15 @@
 //! Environment light: radiance from any direction, and directions drawn in proportion to it.
 //!
-//! A map is sampled by texel, with probability ∝ mean luminance · ∫ sin θ (Pharr, Jakob & Humphreys, "PBR" 4e, §12.5.3), then
-//! uniformly in longitude and polar angle. The mean is that of the *bilinear* read, so no texel that shines has probability zero.
+//! A map is sampled by texel, with probability ∝ mean luminance · ∫ sin θ (Pharr, Jakob & Humphreys, "PBR" 4e, §12.5.3) times what
+//! `sky_cells` makes of the cosine, then uniformly in longitude and polar angle. The mean is that of the *bilinear* read, so no texel
+//! that shines has probability zero.
 
 use std::f32::consts::{PI, TAU};
+use std::sync::Arc;
 
 use glam::{Vec2, Vec3};
 
-use super::distribution::Discrete;
+use super::sky_cells::{NormalBin, SkyCells};
 use crate::scenes::{Environment, EnvironmentMap};
 
 /// Light from infinity, ready to evaluate and sample.
@@ -26,8 +28,8 @@ pub(super) struct SkyMap {
     texels: Vec<Vec3>,
     /// cos and sin of the map's rotation about +Y.
     turn: (f32, f32),
-    /// Choice of a row; choice of a column within each row that has light. None when the map is black.
-    sampling: Option<(Discrete, Vec<Option<Discrete>>)>,
+    /// None when the map is black.
+    sampling: Option<Arc<SkyCells>>,
     /// ∫ luminance dω, for choosing between kinds of light.
     pub power: f32,
 }
@@ -53,11 +55,11 @@ impl Sky {
         }
     }
 
-    /// Radiance arriving from `direction` (unit, world) and the density with which `sample` draws it.
-    pub fn eval(&self, direction: Vec3) -> (Vec3, f32) {
+    /// Radiance arriving from `direction` (unit, world) and the density with which `sample` draws it for a normal in `bin`.
+    pub fn eval(&self, direction: Vec3, bin: NormalBin) -> (Vec3, f32) {
         match self {
             Self::Constant(radiance) => (*radiance, 0.0),
-            Self::Map(map) => map.eval(direction),
+            Self::Map(map) => map.eval(direction, bin),
         }
     }
 }
@@ -68,10 +70,9 @@ impl SkyMap {
         let texels: Vec<Vec3> = (0..width * height).map(|i| Vec3::from(map.image.rgb(i))).collect();
         let (sin, cos) = map.rotation.sin_cos();
         let mut sky = Self { width, height, texels, turn: (cos, sin), sampling: None, power: 0.0 };
-        let weights: Vec<Vec<f64>> = (0..height).map(|row| sky.row_weights(row)).collect();
-        let rows: Vec<f64> = weights.iter().map(|w| w.iter().sum()).collect();
-        sky.power = rows.iter().sum::<f64>() as f32;
-        sky.sampling = Discrete::new(&rows).map(|rows| (rows, weights.iter().map(|w| Discrete::new(w)).collect()));
+        let weights: Vec<f64> = (0..height).flat_map(|row| sky.row_weights(row)).collect();
+        sky.power = weights.iter().sum::<f64>() as f32;
+        sky.sampling = SkyCells::new(width, height, &weights, |at| sky.direction(at).0).map(Arc::new);
         sky
     }
 
@@ -93,8 +94,13 @@ impl SkyMap {
         (0..w).map(|column| mean(column) * solid_angle).collect()
     }
 
+    /// Whether there is any light to draw directions by.
+    pub fn can_be_sampled(&self) -> bool {
+        self.sampling.is_some()
+    }
+
     /// Radiance from `direction` and the density of `sample` there.
-    pub fn eval(&self, direction: Vec3) -> (Vec3, f32) {
+    pub fn eval(&self, direction: Vec3, bin: NormalBin) -> (Vec3, f32) {
         let (cos, sin) = self.turn;
         // The map's own direction: the world's, turned back about +Y.
         let (x, z) = (cos * direction.x - sin * direction.z, sin * direction.x + cos * direction.z);
@@ -102,27 +108,24 @@ impl SkyMap {
         // Not √(1 − y²) and acos y, which lose all digits near the poles, where the density is 1/sin θ.
         let sine = (direction.x * direction.x + direction.z * direction.z).sqrt();
         let at = Vec2::new(longitude * self.width as f32, sine.atan2(direction.y) * (self.height as f32 / PI));
-        (self.bilinear(at), self.density(at, sine))
+        (self.bilinear(at), self.density(at, sine, bin))
     }
 
-    /// A direction in proportion to luminance. None when the map is black.
-    pub fn sample(&self, u: Vec2) -> Option<SkySample> {
-        let (rows, columns) = self.sampling.as_ref()?;
-        let (row, row_probability, v) = rows.choose(u.y);
-        let (column, column_probability, h) = columns[row].as_ref()?.choose(u.x);
-        let at = Vec2::new(column as f32 + h, row as f32 + v);
+    /// A direction in proportion to luminance × cosine to the normals in `bin`. None when the map is black.
+    pub fn sample(&self, u: Vec2, bin: NormalBin) -> Option<SkySample> {
+        let (at, density) = self.sampling.as_ref()?.sample(bin, u);
+        let (direction, sine) = self.direction(at);
+        // A position on the map holds 2π² sin θ steradian.
+        (sine > 0.0).then(|| SkySample { direction, radiance: self.bilinear(at), pdf: density / (TAU * PI * sine) })
+    }
+
+    /// Where the map's place `at` (columns and rows) lies, and the sine of its polar angle.
+    fn direction(&self, at: Vec2) -> (Vec3, f32) {
         let (sine, y) = (at.y * (PI / self.height as f32)).sin_cos();
         let (x, z) = (at.x * (TAU / self.width as f32)).sin_cos();
         let (x, z) = (sine * x, -sine * z);
         let (cos, sin) = self.turn;
-        if !(sine > 0.0) {
-            return None;
-        }
-        Some(SkySample {
-            direction: Vec3::new(cos * x + sin * z, y, -sin * x + cos * z),
-            radiance: self.bilinear(at),
-            pdf: row_probability * column_probability * self.per_steradian(sine),
-        })
+        (Vec3::new(cos * x + sin * z, y, -sin * x + cos * z), sine)
     }
 
     /// Radiance at `at`: columns and rows, centres at half integers.
@@ -138,18 +141,10 @@ impl SkyMap {
     }
 
     #[inline]
-    fn density(&self, at: Vec2, sine: f32) -> f32 {
-        let Some((rows, columns)) = &self.sampling else { return 0.0 };
-        let (column, row) = ((at.x as usize).min(self.width - 1), (at.y as usize).min(self.height - 1));
-        match &columns[row] {
-            Some(columns) if sine > 0.0 => rows.probability(row) * columns.probability(column) * self.per_steradian(sine),
+    fn density(&self, at: Vec2, sine: f32, bin: NormalBin) -> f32 {
+        match &self.sampling {
+            Some(cells) if sine > 0.0 => cells.density(bin, at) / (TAU * PI * sine),
             _ => 0.0,
         }
-    }
-
-    // 1 / solid angle of a texel at polar angle θ: dω = sin θ dθ dφ.
-    #[inline]
-    fn per_steradian(&self, sine: f32) -> f32 {
-        (self.width * self.height) as f32 / (TAU * PI * sine)
     }
 }

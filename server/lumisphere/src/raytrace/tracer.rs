@@ -9,10 +9,11 @@ use thiserror::Error;
 use super::bvh::Bvh;
 use super::lights::Lights;
 use super::low_discrepancy::SampleSequence;
-use super::path::{Look, PathTracer, World, even_directions};
+use super::path::{Look, PathTracer, World};
 use super::render::TraceSettings;
 use super::surfaces::{self, Reflectance, SurfacePoint, SurfaceTriangle, TexelGrid};
 use super::traverse::Stack;
+use super::warp::even_directions;
 use crate::geometry::Ray;
 use crate::scenes::{Albedo, Material, Scene};
 
@@ -177,12 +178,20 @@ impl Tracer {
         // The place itself seeds the numbers: neighbours of a bake get different ones in any order.
         let place = point.to_array().iter().fold(0u64, |h, c| h.rotate_left(21) ^ u64::from(c.to_bits()));
         let samples = samples.max(1);
-        let sum: Vec3 = (0..samples).map(|s| paths.irradiance(position, normal, &mut SampleSequence::new(settings.seed, place, s))).sum();
+        let mut sum = Vec3::ZERO;
+        for first in (0..samples).step_by(PATHS_AT_ONCE) {
+            paths.clear();
+            for sample in first..samples.min(first + PATHS_AT_ONCE as u32) {
+                paths.push_element(position, normal, SampleSequence::new(settings.seed, place, sample));
+            }
+            paths.trace();
+            sum += paths.radiance().sum::<Vec3>();
+        }
         sum / samples as f32
     }
 
     pub(super) fn paths(&self, max_bounces: u32) -> PathTracer<'_> {
-        PathTracer { world: &self.world, look: &self.look, max_bounces, stack: Stack::new() }
+        PathTracer::new(&self.world, &self.look, max_bounces)
     }
 }
 
@@ -193,6 +202,9 @@ fn with_stack<T>(ask: impl FnOnce(&mut Stack) -> T) -> T {
     }
     STACK.with_borrow_mut(ask)
 }
+
+// Paths of an irradiance that go side by side: what they carry fits the second-level cache.
+const PATHS_AT_ONCE: usize = 4096;
 
 /// Directions of the winding number: its error at an open surface is then about 0.02.
 const WINDING_DIRECTIONS: u32 = 128;

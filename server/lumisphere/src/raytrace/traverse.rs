@@ -27,7 +27,7 @@ impl Stack {
 }
 
 // 1 + 2γ₃ for f32: the slab test then misses no box that the exact ray meets (Ize 2013).
-const FAR_SLACK: f32 = 1.000_001;
+pub(super) const FAR_SLACK: f32 = 1.000_001;
 
 /// A ray with every coordinate copied to four lanes.
 struct WideRay {
@@ -40,7 +40,7 @@ struct WideRay {
 
 /// 1/x, but finite at 0, so that a ray inside a slab's plane gives 0 and not 0 · ∞ = NaN.
 #[inline(always)]
-fn finite_inverse(x: f32) -> f32 {
+pub(super) fn finite_inverse(x: f32) -> f32 {
     const SMALLEST: f32 = 1e-20;
     if x.abs() > SMALLEST { 1.0 / x } else { (1.0 / SMALLEST).copysign(x) }
 }

@@ -69,3 +69,14 @@ pub(super) fn power_heuristic(taken: f32, other: f32) -> f32 {
     let ratio = other / taken;
     1.0 / (1.0 + ratio * ratio)
 }
+
+/// Fibonacci directions: `count` unit vectors spread evenly over the sphere.
+pub(super) fn even_directions(count: u32) -> impl Iterator<Item = Vec3> {
+    // 2π(1 − 1/φ): the golden angle.
+    const GOLDEN_ANGLE: f32 = 2.399_963_2;
+    (0..count).map(move |i| {
+        let y = 1.0 - (2.0 * i as f32 + 1.0) / count as f32;
+        let at = Vec2::from_angle(GOLDEN_ANGLE * i as f32) * (1.0 - y * y).sqrt();
+        Vec3::new(at.x, y, at.y)
+    })
+}

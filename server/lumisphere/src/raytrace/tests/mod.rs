@@ -4,6 +4,8 @@ mod appearances;
 mod box_room;
 mod closed_forms;
 mod geometry;
+mod light_alone;
+mod packets;
 mod robustness;
 mod samplers;
 
