@@ -138,7 +138,9 @@ impl Cache {
         let mut is_miss = false;
         let mut on_miss = || {
             is_miss = true;
-            self.stripes.count(table.slot, |c| {
+            // A page that is there in part is used all the same.
+            let partial = slots.whole.get().map(|chunk| chunk.ticket);
+            self.stripes.count_uses(table.slot, partial.as_slice(), |c| {
                 c.look_ups += 1;
                 c.misses += 1;
                 c.page_visits += 1;

@@ -16,6 +16,7 @@ mod disk;
 mod error;
 mod hash;
 mod index;
+pub mod laboratory;
 mod manifest;
 mod opening;
 mod page;

@@ -4,10 +4,12 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 
+use super::laboratory::{Order, Setting, compare, replay, simulate};
 use super::*;
 
 mod crash;
 mod damage;
+mod laboratory;
 mod roundtrip;
 mod sharing;
 mod uploads;

@@ -226,7 +226,11 @@ impl<'a> Reader<'a> {
         let Some(slots) = table.page(page) else {
             return Err(StoreError::NotFound { what: format!("page {page} of {} version {}", table.dataset, table.version) });
         };
-        // The policy has to hear of the hits before this before it makes room.
+        // A visit to a page that lacks the row is a use of it.
+        if let Some(partial) = slots.whole.get().filter(|_| !self.is_by_block) {
+            self.note_use(page, partial.ticket);
+        }
+        // The policy has to hear of all uses so far before it makes room.
         self.hand_on();
         let strategy = self.table.strategy();
         let part = if self.is_by_block { Part::Block(y / BLOCK_ROWS) } else { Part::Whole };

@@ -95,11 +95,10 @@ impl Residency {
     pub fn keep(&mut self, slots: &Arc<PageSlots>, part: Part, arriving: &Arriving) -> Option<Arc<Chunk>> {
         let slot = slots.slot(part)?;
         if let Some(old) = slot.get().filter(|old| self.is_current(old.ticket)) {
-            // More rows of a page that is charged as a whole.
+            // More rows of a page that is charged as a whole; the visit that wanted them was noted as a use.
             let chunk = Arc::new(arriving.chunk(old.ticket));
             self.frames[old.ticket.frame as usize].1.as_mut()?.chunk = chunk.clone();
             old.mark_evicted();
-            self.policy.touch(old.ticket.frame);
             slot.install(chunk.clone());
             self.supersede_blocks(slots, &chunk);
             return Some(chunk);
