@@ -294,19 +294,23 @@ fn walk<L: Lanes>(bvh: &Bvh, rays: &WideRays<L>, mut limit: L, stack: &mut Packe
 /// Puts the children that any ray enters onto the stack, the one that is nearest to its first ray last.
 #[inline(always)]
 fn open_node<L: Lanes>(rays: &WideRays<L>, node: &Node, limit: L, stack: &mut Vec<Entry>) {
+    // All boxes before the first branch: their latencies overlap.
+    let (mut nears, mut entered) = ([L::splat(0.0); LANES], [0; LANES]);
+    for child in 0..LANES {
+        let (near, mask) = rays.one_box(node, child, limit);
+        // A ray that stays outside has no reason to come back.
+        nears[child] = L::select(mask, near, L::splat(f32::INFINITY));
+        entered[child] = L::bits(mask);
+    }
     let bottom = stack.len();
     let mut keys = [0.0; LANES];
     for child in 0..LANES {
-        let (near, entered) = rays.one_box(node, child, limit);
-        // A ray that stays outside has no reason to come back.
-        let near = L::select(entered, near, L::splat(f32::INFINITY));
-        let entered = L::bits(entered);
-        if entered == 0 {
+        if entered[child] == 0 {
             continue;
         }
         let mut entry = Entry { near: [0.0; RAYS], node: node.children[child] };
-        near.store(&mut entry.near);
-        let key = entry.near[entered.trailing_zeros() as usize & (RAYS - 1)];
+        nears[child].store(&mut entry.near);
+        let key = entry.near[entered[child].trailing_zeros() as usize & (RAYS - 1)];
         let mut at = stack.len();
         stack.push(entry);
         while at > bottom && keys[at - 1 - bottom] < key {

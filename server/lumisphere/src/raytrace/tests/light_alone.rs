@@ -121,3 +121,22 @@ fn directions_are_drawn_nearly_as_light_times_cosine() {
         assert!(with_cosine < 0.8 * without, "{normal}: {with_cosine}, {without} without the cosine");
     }
 }
+
+#[test]
+fn no_direction_that_brings_light_has_density_zero() {
+    let environment = sunny();
+    let Sky::Map(map) = Sky::new(&environment) else { panic!("a map") };
+    let mut random = Pcg32::seed_from_u64(34);
+    for normal in warp::even_directions(300) {
+        for _ in 0..300 {
+            let direction = warp::cosine_hemisphere(Vec2::new(random.random(), random.random()));
+            // Half of them just above the horizon, where the table's cosines say nothing.
+            let low = Vec3::new(direction.x, direction.y, 0.02 * direction.z * random.random::<f32>()).normalize();
+            for local in [direction, low] {
+                let world = crate::geometry::TangentFrame::around(normal).world_from_local(local);
+                let (radiance, pdf) = map.eval(world, NormalBin::of(normal));
+                assert!(pdf > 0.0 && (radiance.y * local.z / pdf).is_finite(), "{normal}, {world}: {radiance}, {pdf}");
+            }
+        }
+    }
+}
