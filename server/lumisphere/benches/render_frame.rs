@@ -1,24 +1,27 @@
 //! A 640 × 480 frame of the captured teapot in the gazebo, on the GPU (lavapipe where there is no other) and on the CPU, in milliseconds:
 //! wall clock, the whole process's CPU time a frame (what counts where others use the machine, too), and the GPU's stages.
 //!
-//! `cargo bench -p lumisphere --bench render_frame [-- FACE_SIZE [POINTS]] [gpu | cpu]`, by default 128 texels, 300 points and both
-//! backends. The capture (one path a texel: noise costs no time) is kept in `target/render_frame` for the next run.
+//! `cargo bench -p lumisphere --bench render_frame [-- FACE_SIZE [POINTS]] [gpu | cpu | paging]`, by default 128 texels, 300 points and both
+//! backends; `paging` measures uploads under a cap instead. The capture (one path a texel: noise costs no time) is kept in `target/render_frame` for the next run.
 
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::time::Instant;
 
 use glam::Vec3;
 use lumisphere::geometry::{Camera, Intrinsics, Pose};
 use lumisphere::progress::Unattended;
-use lumisphere::render::{Backend, Frame, FrameRequest, Outputs, Renderer, Representation, Settings};
-use lumisphere::representations::CachedPages;
+use lumisphere::render::{Backend, Frame, FrameRequest, Outputs, Refine, Renderer, Representation, Settings};
 use lumisphere::representations::offset_surface_light_field::{
     Blend, Component, ConstructSettings, OffsetSurfaceLightField, PartsError, Settings as OslfSettings, Spacing, construct, from_parts,
 };
+use lumisphere::representations::{CachedPages, PageSource};
 use lumisphere::scenes::{BuiltinOptions, builtin};
-use lumisphere::textures::{Cache, CacheOptions, DatasetVersion, PixelFormat, Publication, Store, StoreOptions};
+use lumisphere::textures::{Cache, CacheOptions, DatasetVersion, PageId, PixelFormat, Publication, Store, StoreOptions};
 
 const RUNS: usize = 15;
+// Of the orbit under a cap: three seconds a revolution at 30 frames a second.
+const STEPS: usize = 90;
 const GPU_BUDGET_BYTES: u64 = 1 << 30;
 
 fn main() {
@@ -32,14 +35,18 @@ fn main() {
     let (center, radius) = (0.5 * (low + high), 0.5 * (high - low).length());
     let triangles: usize = field.background.surfaces.iter().map(|s| s.mesh.triangles.len()).sum();
     println!("{face_size}² faces, {} points, {} + {triangles} triangles", field.sample_points.len(), field.surface.mesh.triangles.len());
+    let faces = field.face_count() as u32;
     let field: Arc<dyn Representation> = Arc::new(field);
-    let pages = CachedPages { cache: Arc::new(Cache::new(CacheOptions::decoded(4 << 30))), version };
+    let pages = CachedPages { cache: Arc::new(Cache::new(CacheOptions::decoded(4 << 30))), version: version.clone() };
     let renderer = Renderer::with_gpu(GPU_BUDGET_BYTES).unwrap_or_else(|e| {
         println!("{e}: CPU only");
         Renderer::cpu_only()
     });
     println!("adapter: {}", renderer.adapter().unwrap_or("none"));
     let cameras: Vec<Camera> = (0..RUNS).map(|k| orbit(center, radius, k)).collect();
+    if std::env::args().any(|a| a == "paging") {
+        return report_paging(&field, &version, faces, center, radius);
+    }
     println!("component      blend            backend   first    best  median    95 %     CPU  pages  (median: gpu, read back)");
     for (component, blend) in [
         (Component::Reconstruction, Blend::Distance),
@@ -54,12 +61,56 @@ fn main() {
         let settings = Settings::OffsetSurfaceLightField(OslfSettings { component, blend, specular_reflectance: Vec3::ONE });
         for backend in backends(renderer.adapter().is_some()) {
             let render = |camera: &Camera| {
-                let request = FrameRequest { camera, settings: &settings, outputs: Outputs { depth: false, provenance: false } };
-                renderer.render(&field, &pages, &request, Some(backend)).expect("a frame")
+                renderer.render(&field, &pages, &request(camera, &settings, Refine::Whole), Some(backend)).expect("a frame")
             };
             report(component, blend, &cameras, render);
         }
     }
+}
+
+// What it takes to have the coarse level, and a revolution under a cap of uploads a frame: which share of its frames is not final.
+fn report_paging(field: &Arc<dyn Representation>, version: &Arc<DatasetVersion>, faces: u32, center: Vec3, radius: f32) {
+    let fresh = || CachedPages { cache: Arc::new(Cache::new(CacheOptions::decoded(4 << 30))), version: version.clone() };
+    for (what, numbers) in [("coarse pages", faces..version.page_count()), ("all faces", 0..faces)] {
+        let (pages, begin, count) = (fresh(), Instant::now(), numbers.len());
+        let before = cpu_millis();
+        for number in numbers {
+            pages.page(PageId(number)).expect("a page");
+        }
+        let wall = 1e3 * begin.elapsed().as_secs_f64();
+        println!("reading {count} {what}, one thread: {wall:.0} ms, {:.0} ms CPU", cpu_millis() - before);
+    }
+    let settings = OslfSettings { component: Component::Mirror, blend: Blend::Normal { exponent: 4.0 }, specular_reflectance: Vec3::ONE };
+    let settings = Settings::OffsetSurfaceLightField(settings);
+    println!("cap, pages  ahead  not final  uploaded  brought ahead  CPU a frame, ms");
+    for (cap, ahead) in [(4, false), (4, true), (8, false), (8, true), (16, false), (16, true)] {
+        let (renderer, pages) = (Renderer::with_gpu(GPU_BUDGET_BYTES).expect("there was one"), fresh());
+        let upload_bytes = cap * 128 * 128 * 8;
+        let cameras: Vec<Camera> = (0..STEPS).map(|k| orbit_at(center, radius, k as f32 / STEPS as f32)).collect();
+        // The first pose is waited for: what counts is the motion.
+        renderer.render(field, &pages, &request(&cameras[0], &settings, Refine::Whole), Some(Backend::Gpu)).expect("a frame");
+        let (start, before, mut not_final) = (renderer.gpu_stats().expect("a GPU"), cpu_millis(), 0);
+        for (last, camera) in cameras.iter().zip(&cameras[1..]) {
+            let frame = renderer
+                .render(field, &pages, &request(camera, &settings, Refine::UpTo { upload_bytes }), Some(Backend::Gpu))
+                .expect("a frame");
+            not_final += u32::from(!frame.pixels.is_final);
+            let left = cap - frame.stats.gpu.map_or(0, |g| g.pages_uploaded as u64);
+            if ahead && left > 0 {
+                let pose = camera.pose().extrapolated_from(last.pose()).expect("rotations compose");
+                let next = Camera::new(*camera.intrinsics(), pose).expect("the same intrinsics");
+                renderer.prefetch(field, &pages, &request(&next, &settings, Refine::Whole), left * 128 * 128 * 8).expect("pages");
+            }
+        }
+        let (stats, frames) = (renderer.gpu_stats().expect("a GPU"), STEPS - 1);
+        let cpu = (cpu_millis() - before) / frames as f64;
+        let (uploads, prefetched) = (stats.uploads - start.uploads, stats.prefetched);
+        println!("{cap:>10} {ahead:>6} {not_final:>6} / {frames} {uploads:>8} {prefetched:>8} {cpu:>10.1}");
+    }
+}
+
+fn request<'a>(camera: &'a Camera, settings: &'a Settings, refine: Refine) -> FrameRequest<'a> {
+    FrameRequest { camera, settings, outputs: Outputs { depth: false, provenance: false }, refine }
 }
 
 fn backends(has_gpu: bool) -> Vec<Backend> {
@@ -112,9 +163,13 @@ fn report(component: Component, blend: Blend, cameras: &[Camera], render: impl F
     );
 }
 
-// The teapot fills about half of the image's height.
 fn orbit(center: Vec3, radius: f32, k: usize) -> Camera {
-    let angle = std::f32::consts::TAU * k as f32 / RUNS as f32;
+    orbit_at(center, radius, k as f32 / RUNS as f32)
+}
+
+// The teapot fills about half of the image's height.
+fn orbit_at(center: Vec3, radius: f32, turn: f32) -> Camera {
+    let angle = std::f32::consts::TAU * turn;
     let origin = center + 3.2 * radius * Vec3::new(angle.cos(), 0.45, angle.sin());
     let pose = Pose::look_at(origin, center, Vec3::Y).expect("distinct points");
     Camera::new(Intrinsics::from_vfov(45.0, 640, 480).expect("a sensible angle"), pose).expect("a camera")
@@ -125,7 +180,7 @@ fn captured(face_size: u32, points: u32) -> Arc<DatasetVersion> {
     let root = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../target/render_frame");
     std::fs::create_dir_all(&root).expect("a folder under target");
     let (store, _) = Store::open(&root, StoreOptions::local()).expect("a store");
-    let dataset = format!("teapot-{face_size}-{points}");
+    let dataset = format!("teapot-coarse-{face_size}-{points}");
     if let Ok(version) = store.open_version(&dataset, None) {
         return version;
     }

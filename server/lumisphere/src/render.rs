@@ -5,17 +5,21 @@
 //! frames on the GPU take turns.
 
 use std::collections::VecDeque;
+#[cfg(feature = "gpu")]
+use std::sync::MutexGuard;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
 #[cfg(feature = "gpu")]
-use crate::gpu::Gpu;
+use crate::gpu::{Gpu, GpuCacheStats};
 #[cfg(feature = "gpu")]
 use crate::representations::GpuKernel;
 use crate::representations::{CountingSource, CpuKernel};
 pub use crate::representations::{
-    FrameRequest, GpuFrameStats, Outputs, PageSource, PageUse, Pixels, Provenance, RenderError, Representation, Settings,
+    FrameRequest, GpuFrameStats, Outputs, PageSource, PageUse, Pixels, Provenance, Refine, RenderError, Representation, Settings,
 };
+#[cfg(feature = "gpu")]
+use crate::textures::PolicyKind;
 
 /// What computes a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -59,7 +63,8 @@ pub struct FrameStats {
 }
 
 // Of each dataset in use, least recently used first.
-type Kernels<K> = VecDeque<(Arc<dyn Representation>, K)>;
+type Kernels<K> = VecDeque<Entry<K>>;
+type Entry<K> = (Arc<dyn Representation>, K);
 
 /// Renders frames of any dataset.
 pub struct Renderer {
@@ -71,8 +76,18 @@ pub struct Renderer {
 #[cfg(feature = "gpu")]
 struct GpuSide {
     gpu: Arc<Gpu>,
+    tier: Mutex<GpuTier>,
+}
+
+// Everything on the device, and what it may hold.
+#[cfg(feature = "gpu")]
+struct GpuTier {
+    kernels: Kernels<Box<dyn GpuKernel>>,
     budget_bytes: u64,
-    kernels: Mutex<Kernels<Box<dyn GpuKernel>>>,
+    policy: PolicyKind,
+    // Of datasets that left.
+    earlier: GpuCacheStats,
+    peak_bytes: u64,
 }
 
 // Trees of this many datasets stay in memory.
@@ -92,7 +107,9 @@ impl Renderer {
     /// Errors when there is no adapter.
     #[cfg(feature = "gpu")]
     pub fn with_gpu(budget_bytes: u64) -> Result<Self, RenderError> {
-        let gpu = GpuSide { gpu: Arc::new(Gpu::new()?), budget_bytes, kernels: Mutex::default() };
+        let tier =
+            GpuTier { kernels: Kernels::new(), budget_bytes, policy: PolicyKind::Lru, earlier: GpuCacheStats::default(), peak_bytes: 0 };
+        let gpu = GpuSide { gpu: Arc::new(Gpu::new()?), tier: Mutex::new(tier) };
         Ok(Self { gpu: Some(gpu), ..Self::cpu_only() })
     }
 
@@ -191,17 +208,13 @@ impl Renderer {
     ) -> Result<Frame, RenderError> {
         let side = self.gpu.as_ref().ok_or(RenderError::NoGpu)?;
         let begin = Instant::now();
-        let mut kernels = side.kernels.lock().unwrap_or_else(PoisonError::into_inner);
-        let known = kernels.iter().position(|(r, _)| Arc::ptr_eq(r, representation)).and_then(|at| kernels.remove(at));
-        let (representation, mut kernel) = match known {
-            Some(entry) => entry,
-            None => (representation.clone(), side.new_kernel(representation, &mut kernels)?),
-        };
+        let mut tier = side.tier();
+        let mut entry = tier.take(&side.gpu, representation)?;
         let prepare_millis = millis_since(begin);
         let pages = CountingSource::new(pages);
-        let outcome = kernel.render(request, &pages);
-        kernels.push_back((representation, kernel));
-        drop(kernels);
+        let outcome = entry.1.render(request, &pages);
+        tier.put_back(entry);
+        drop(tier);
         let (pixels, gpu) = outcome?;
         let stats = FrameStats {
             backend: Backend::Gpu,
@@ -215,26 +228,115 @@ impl Renderer {
         Ok(frame(request, pixels, stats))
     }
 
+    /// Brings pages to the device that a frame like `request` would miss, at most `upload_bytes` of texels; how many. Does nothing without
+    /// a GPU.
+    pub fn prefetch(
+        &self,
+        representation: &Arc<dyn Representation>,
+        pages: &dyn PageSource,
+        request: &FrameRequest<'_>,
+        upload_bytes: u64,
+    ) -> Result<usize, RenderError> {
+        let Some(side) = &self.gpu else { return Ok(0) };
+        let mut tier = side.tier();
+        let mut entry = tier.take(&side.gpu, representation)?;
+        let outcome = entry.1.prefetch(request, &CountingSource::new(pages), upload_bytes);
+        tier.put_back(entry);
+        outcome
+    }
+
+    /// Changes what all datasets together may hold on the device; what no longer fits leaves at once. Nothing without a GPU.
+    pub fn set_gpu_budget(&self, budget_bytes: u64) {
+        let Some(side) = &self.gpu else { return };
+        side.tier().set_budget(budget_bytes);
+    }
+
+    /// Changes which pages leave the device when others need their place. Nothing without a GPU.
+    pub fn set_gpu_policy(&self, policy: PolicyKind) {
+        let Some(side) = &self.gpu else { return };
+        let mut tier = side.tier();
+        tier.policy = policy;
+        tier.kernels.iter_mut().for_each(|(_, kernel)| kernel.set_policy(policy));
+    }
+
+    /// Which pages leave the device first; None without a GPU.
+    pub fn gpu_policy(&self) -> Option<PolicyKind> {
+        self.gpu.as_ref().map(|side| side.tier().policy)
+    }
+
+    /// Counters of the device's tier since the renderer was made, all of the same moment; None without a GPU.
+    pub fn gpu_stats(&self) -> Option<GpuCacheStats> {
+        self.gpu.as_ref().map(|side| side.tier().stats())
+    }
+
     /// Held on the device by all datasets together.
     pub fn gpu_bytes(&self) -> u64 {
-        self.gpu.as_ref().map_or(0, |g| g.kernels.lock().unwrap_or_else(PoisonError::into_inner).iter().map(|(_, k)| k.bytes()).sum())
+        self.gpu_stats().map_or(0, |s| s.device_bytes)
     }
 }
 
 #[cfg(feature = "gpu")]
 impl GpuSide {
-    // Two datasets of half the budget each can stay; a new one otherwise displaces those unused for longest.
-    fn new_kernel(
-        &self,
-        representation: &Arc<dyn Representation>,
-        kernels: &mut Kernels<Box<dyn GpuKernel>>,
-    ) -> Result<Box<dyn GpuKernel>, RenderError> {
-        let held = |kernels: &Kernels<Box<dyn GpuKernel>>| kernels.iter().map(|(_, k)| k.bytes()).sum::<u64>();
-        while held(kernels) > self.budget_bytes / 2 {
-            kernels.pop_front();
+    fn tier(&self) -> MutexGuard<'_, GpuTier> {
+        self.tier.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+#[cfg(feature = "gpu")]
+impl GpuTier {
+    fn held(&self) -> u64 {
+        self.kernels.iter().map(|(_, k)| k.bytes()).sum()
+    }
+
+    fn stats(&self) -> GpuCacheStats {
+        let mut stats = GpuCacheStats { peak_device_bytes: self.peak_bytes, budget_bytes: self.budget_bytes, ..self.earlier };
+        self.kernels.iter().for_each(|(_, kernel)| stats.add(&kernel.stats()));
+        stats
+    }
+
+    // The dataset's kernel, out of the list while it works. Two datasets of half the budget each can stay; a new one otherwise displaces
+    // those unused for longest.
+    fn take(&mut self, gpu: &Arc<Gpu>, representation: &Arc<dyn Representation>) -> Result<Entry<Box<dyn GpuKernel>>, RenderError> {
+        let known = self.kernels.iter().position(|(r, _)| Arc::ptr_eq(r, representation));
+        if let Some(entry) = known.and_then(|at| self.kernels.remove(at)) {
+            return Ok(entry);
         }
-        let budget_bytes = self.budget_bytes - held(kernels);
-        Ok(representation.clone().gpu_kernel(&self.gpu, budget_bytes)?)
+        while self.held() > self.budget_bytes / 2 && self.give_up_oldest() {}
+        let mut kernel = representation.clone().gpu_kernel(gpu, self.budget_bytes.saturating_sub(self.held()))?;
+        kernel.set_policy(self.policy);
+        Ok((representation.clone(), kernel))
+    }
+
+    fn put_back(&mut self, entry: Entry<Box<dyn GpuKernel>>) {
+        self.kernels.push_back(entry);
+        self.peak_bytes = self.peak_bytes.max(self.held());
+    }
+
+    fn set_budget(&mut self, budget_bytes: u64) {
+        self.budget_bytes = budget_bytes;
+        while self.kernels.len() > 1 && self.held() > budget_bytes {
+            self.give_up_oldest();
+        }
+        if let Some((_, last)) = self.kernels.back() {
+            let others = self.held() - last.bytes();
+            if let Some((_, last)) = self.kernels.back_mut() {
+                last.set_budget(budget_bytes.saturating_sub(others));
+            }
+        }
+        // Geometry and sample maps of the last one may be too much by themselves.
+        if self.held() > budget_bytes {
+            self.give_up_oldest();
+        }
+        self.peak_bytes = self.held();
+    }
+
+    // False when there is none.
+    fn give_up_oldest(&mut self) -> bool {
+        let Some((_, kernel)) = self.kernels.pop_front() else { return false };
+        let stats = kernel.stats();
+        let evictions = stats.evictions + stats.resident_pages;
+        self.earlier.add(&GpuCacheStats { evictions, resident_pages: 0, resident_bytes: 0, device_bytes: 0, ..stats });
+        true
     }
 }
 

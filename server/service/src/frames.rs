@@ -6,7 +6,7 @@ use std::time::Instant;
 use bytes::Bytes;
 use lumisphere::geometry::Camera;
 use lumisphere::images::{Exposure, ExrStorage, Image, ToneMap, encode_exr_rgb, encode_jpeg, encode_png, tone_mapped};
-use lumisphere::render::{Backend, Frame, FrameRequest, Outputs, RenderError, Renderer};
+use lumisphere::render::{Backend, Frame, FrameRequest, Outputs, Refine, RenderError, Renderer};
 
 use crate::api::blocking;
 use crate::catalog::OpenedVersion;
@@ -85,7 +85,7 @@ impl Frames {
     ) -> Result<(Rendered<Frame>, Option<String>), ApiError> {
         let work = move |renderer: &mut Renderer| {
             let outputs = Outputs { depth: order.output.depth, provenance: order.output.provenance };
-            let request = FrameRequest { camera: &order.camera, settings: &order.settings.settings, outputs };
+            let request = FrameRequest { camera: &order.camera, settings: &order.settings.settings, outputs, refine: Refine::Whole };
             let backend = match order.settings.backend {
                 BackendChoice::Auto => None,
                 BackendChoice::Gpu => Some(Backend::Gpu),
@@ -175,7 +175,7 @@ fn encode(
             read_bytes: pages.bytes_read,
         },
         adapter,
-        is_final: true,
+        is_final: frame.pixels.is_final,
     })
 }
 

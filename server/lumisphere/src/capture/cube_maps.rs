@@ -32,22 +32,26 @@ pub enum CaptureError {
 // Cube maps traced side by side: enough to keep the threads busy while one is encoded, few enough to lose little when killed.
 const BATCH: usize = 8;
 
-/// Traces viewpoint k into pages 6·k … 6·k + 5: R, G, B (mean over the texel) and distance, `face_size` texels an edge.
+/// Traces viewpoint k of n into pages 6·k … 6·k + 5: R, G, B (mean over the texel) and distance, `face_size` texels an edge; and into
+/// page 6·n + k the same faces below each other, shrunk to `coarse_size` texels an edge, R, G, B.
 ///
 /// Pages that `staging` holds already are not traced again. Each cube map has its own seed, derived from `settings.seed` and k, and
 /// pages are appended in order: the same job gives the same bytes for any number of threads, interrupted or not.
 pub fn trace_cube_maps(
     viewpoints: &[Viewpoint<'_>],
-    face_size: u32,
+    [face_size, coarse_size]: [u32; 2],
     pixel: PixelFormat,
     settings: &TraceSettings,
     staging: &Staging,
     progress: &dyn Progress,
 ) -> Result<(), CaptureError> {
     let shape = PageShape { width: face_size, height: face_size, channels: 4, pixel };
+    let coarse_shape = PageShape { width: coarse_size, height: FACES as u32 * coarse_size, channels: 3, pixel };
     let present = staging.pages_present();
-    let page = |k: usize, face: usize| PageId((FACES * k + face) as u32);
-    let missing: Vec<usize> = (0..viewpoints.len()).filter(|k| (0..FACES).any(|f| !present.contains(&page(*k, f)))).collect();
+    // Face 6 is all of them, coarsely.
+    let page = |k: usize, face: usize| if face < FACES { FACES * k + face } else { FACES * viewpoints.len() + k };
+    let page = |k: usize, face: usize| PageId(page(k, face) as u32);
+    let missing: Vec<usize> = (0..viewpoints.len()).filter(|k| (0..=FACES).any(|f| !present.contains(&page(*k, f)))).collect();
     let mut done = viewpoints.len() - missing.len();
     for batch in missing.chunks(BATCH) {
         progress.report("tracing cube maps", done as u64, viewpoints.len() as u64);
@@ -57,7 +61,10 @@ pub fn trace_cube_maps(
                 let seeded =
                     TraceSettings { seed: settings.seed.wrapping_add((*k as u64 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15)), ..*settings };
                 let Viewpoint { tracer, position } = viewpoints[*k];
-                encode_faces(&tracer.cube_map(position, face_size as usize, &seeded, &Silent(progress))?, &shape)
+                let map = tracer.cube_map(position, face_size as usize, &seeded, &Silent(progress))?;
+                let mut pages = encode_faces(&map, &shape)?;
+                pages.push(encode(&coarse_shape, shrunk_faces(&map, coarse_size as usize).as_flattened())?);
+                Ok(pages)
             })
             .collect();
         for (k, faces) in batch.iter().zip(traced?) {
@@ -69,6 +76,18 @@ pub fn trace_cube_maps(
     }
     progress.report("tracing cube maps", done as u64, viewpoints.len() as u64);
     Ok(())
+}
+
+/// The cube map's faces below each other, each `size` texels an edge: a texel is the mean of those it touches, NaN left out.
+pub fn shrunk_faces(map: &CubeMap, size: usize) -> Vec<[f32; 3]> {
+    let span = |at: usize| at * map.size / size..((at + 1) * map.size).div_ceil(size);
+    let mean = |face: usize, row: usize, column: usize| {
+        let texels = span(row).flat_map(|r| span(column).map(move |c| (face * map.size + r) * map.size + c));
+        let colors = texels.map(|t| Vec3::new(map.texels[t][0], map.texels[t][1], map.texels[t][2])).filter(|c| c.is_finite());
+        let (sum, count) = colors.fold((Vec3::ZERO, 0f32), |(sum, count), c| (sum + c, count + 1.0));
+        (sum / count.max(1.0)).to_array()
+    };
+    (0..FACES * size * size).map(|t| mean(t / (size * size), t / size % size, t % size)).collect()
 }
 
 fn encode_faces(map: &CubeMap, shape: &PageShape) -> Result<Vec<EncodedPage>, CaptureError> {

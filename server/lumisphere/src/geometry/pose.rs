@@ -62,6 +62,12 @@ impl Pose {
         Self::new(Mat3::from_cols(right, right.cross(forward), -forward), origin)
     }
 
+    /// Where a camera that moved and turned from `earlier` to here is after as long again.
+    pub fn extrapolated_from(&self, earlier: &Self) -> Result<Self, PoseError> {
+        let turn = self.rotation * earlier.rotation.transpose();
+        Self::new(turn * self.rotation, self.position + (self.position - earlier.position))
+    }
+
     /// Camera axes in the world, as columns.
     pub fn rotation(&self) -> Mat3 {
         self.rotation
@@ -86,6 +92,15 @@ impl Pose {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_camera_that_keeps_turning_and_moving_is_where_extrapolation_says() {
+        let at = |k: f32| Pose::new(Mat3::from_rotation_y(0.1 * k), Vec3::new(k, 2.0 * k, 1.0)).unwrap();
+        let ahead = at(1.0).extrapolated_from(&at(0.0)).unwrap();
+        // A few roundings of numbers around 1.
+        assert!((ahead.position() - at(2.0).position()).length() < 1e-6);
+        assert!((ahead.rotation() - at(2.0).rotation()).to_cols_array().iter().all(|e| e.abs() < 1e-6));
+    }
 
     #[test]
     fn look_at_puts_the_target_on_the_negative_z_axis() {

@@ -1,5 +1,5 @@
-//! Pages in the device's memory: square slots in the layers of a few array textures, found through an indirection buffer, given up
-//! least recently used first.
+//! Pages in the device's memory: square slots in the layers of a few array textures, found through an indirection buffer, given up as
+//! a policy chooses.
 //!
 //! Several slots share a layer, because devices allow few layers; several textures share an atlas, because some devices limit one
 //! texture to a gigabyte. The indirection buffer has a word for each page: its slot's column (bits 0–7) and row (8–15) in its layer,
@@ -7,8 +7,9 @@
 
 use std::sync::Arc;
 
-use super::{Gpu, GpuError, storage_buffer};
-use crate::textures::{Page, PageShape, PixelFormat, StoreError};
+use super::ring::UploadRing;
+use super::{Gpu, GpuCacheStats, GpuError, storage_buffer};
+use crate::textures::{Page, PageKey, PageShape, PixelFormat, Policy, PolicyKind, StoreError};
 
 /// How many textures kernels bind for an atlas; unused ones are a single texel.
 pub(crate) const ATLAS_TEXTURES: usize = 4;
@@ -20,9 +21,6 @@ pub(crate) const NOT_RESIDENT: u32 = u32::MAX;
 const LAYER_EDGE_TEXELS: u32 = 2048;
 // lavapipe refuses textures above 1 GiB; other devices have no such limit, but larger ones gain nothing.
 const MAX_TEXTURE_BYTES: u64 = 1 << 30;
-// Uploads pass through a ring of about this size.
-const RING_CHUNK_BYTES: u64 = 4 << 20;
-const BATCH_BYTES: u64 = 16 << 20;
 
 /// What an atlas holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -35,7 +33,7 @@ pub(crate) struct AtlasShape {
     pub pixel: PixelFormat,
 }
 
-/// The slots, who is in them, and since when.
+/// The slots and who is in them.
 pub(crate) struct Atlas {
     shape: AtlasShape,
     textures: Vec<wgpu::Texture>,
@@ -44,16 +42,37 @@ pub(crate) struct Atlas {
     layers: Vec<u32>,
     slot_of_page: Vec<u32>,
     page_of_slot: Vec<Option<u32>>,
-    last_use_of_slot: Vec<u64>,
+    free: Vec<u32>,
+    policy: Box<dyn Policy>,
     words: Vec<u32>,
     indirection: wgpu::Buffer,
-    ring: wgpu::util::StagingBelt,
+    ring: UploadRing,
     bytes: u64,
+    stats: GpuCacheStats,
 }
 
 impl AtlasShape {
     fn texel_bytes(self) -> u32 {
         4 * self.pixel.bytes() as u32
+    }
+
+    /// Of a page's texels.
+    pub fn page_bytes(self) -> u64 {
+        u64::from(self.page_size).pow(2) * u64::from(self.texel_bytes())
+    }
+
+    /// What an atlas takes beside its slots: the upload ring and the indirection.
+    pub fn bytes_beside(self) -> u64 {
+        UploadRing::bytes_for(self.staged_bytes()) + 4 * self.page_count as u64
+    }
+
+    // In the upload ring, where rows are aligned.
+    fn staged_bytes(self) -> u64 {
+        u64::from(self.staged_stride()) * u64::from(self.page_size)
+    }
+
+    fn staged_stride(self) -> u32 {
+        (self.page_size * self.texel_bytes()).next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT)
     }
 
     fn format(self) -> wgpu::TextureFormat {
@@ -66,7 +85,7 @@ impl AtlasShape {
     // Slots along a layer's edge: as many as the largest layer, the budget, and the pages there are make sensible.
     fn slots_per_edge(self, gpu: &Gpu, budget_bytes: u64) -> u32 {
         let edge = LAYER_EDGE_TEXELS.max(self.page_size).min(gpu.device().limits().max_texture_dimension_2d);
-        let page_bytes = u64::from(self.page_size).pow(2) * u64::from(self.texel_bytes());
+        let page_bytes = self.page_bytes();
         let all_pages = (self.page_count as f64).sqrt().ceil() as u32;
         // A tenth of the budget a layer wastes less than a tenth of it by rounding.
         let in_budget = ((budget_bytes / page_bytes) as f64 / 10.0).sqrt().ceil() as u32;
@@ -75,17 +94,16 @@ impl AtlasShape {
 }
 
 impl Atlas {
-    /// As many slots as there are pages, or as fit into `budget_bytes`.
-    pub fn new(gpu: &Gpu, shape: AtlasShape, budget_bytes: u64) -> Result<Self, GpuError> {
+    /// As many slots as there are pages, or as fit into `budget_bytes` beside the upload ring and the indirection.
+    pub fn new(gpu: &Gpu, shape: AtlasShape, budget_bytes: u64, policy: PolicyKind) -> Result<Self, GpuError> {
+        let beside = shape.bytes_beside();
+        let one_page = GpuError::OverBudget { what: "one page", needed_bytes: beside + shape.page_bytes(), budget_bytes };
+        let budget_bytes = budget_bytes.checked_sub(beside + shape.page_bytes()).ok_or(one_page)? + shape.page_bytes();
         let slots_per_edge = shape.slots_per_edge(gpu, budget_bytes);
         let edge = slots_per_edge * shape.page_size;
         let layer_bytes = u64::from(edge).pow(2) * u64::from(shape.texel_bytes());
         let wanted = shape.page_count.div_ceil((slots_per_edge as usize).pow(2).max(1)) as u64;
-        let affordable = budget_bytes.checked_div(layer_bytes).unwrap_or(0);
-        if affordable == 0 {
-            let needed_bytes = u64::from(shape.page_size).pow(2) * u64::from(shape.texel_bytes());
-            return Err(GpuError::OverBudget { what: "one page", needed_bytes, budget_bytes });
-        }
+        let affordable = budget_bytes / layer_bytes;
         let most = (MAX_TEXTURE_BYTES / layer_bytes).min(u64::from(gpu.device().limits().max_texture_array_layers)).min(1 << 13);
         let mut left = wanted.min(affordable).min(most * ATLAS_TEXTURES as u64);
         let mut layers = Vec::new();
@@ -99,14 +117,16 @@ impl Atlas {
         views.resize_with(ATLAS_TEXTURES, || array_view(&array_texture(gpu, shape.format(), 1, 1)));
         let slots = layers.iter().sum::<u32>() as usize * (slots_per_edge as usize).pow(2);
         let words = vec![NOT_RESIDENT; shape.page_count];
-        let bytes = layers.iter().map(|l| u64::from(*l)).sum::<u64>() * layer_bytes + 4 * shape.page_count as u64;
+        let bytes = layers.iter().map(|l| u64::from(*l)).sum::<u64>() * layer_bytes + beside;
         gpu.check()?;
         Ok(Self {
             slot_of_page: words.clone(),
             page_of_slot: vec![None; slots],
-            last_use_of_slot: vec![0; slots],
+            free: (0..slots as u32).rev().collect(),
+            policy: policy.make(slots as u64),
             indirection: storage_buffer(gpu, "indirection", &words, wgpu::BufferUsages::COPY_DST),
-            ring: wgpu::util::StagingBelt::new(gpu.device().clone(), RING_CHUNK_BYTES),
+            ring: UploadRing::new(gpu, shape.staged_bytes()),
+            stats: GpuCacheStats::default(),
             shape,
             textures,
             views,
@@ -117,7 +137,7 @@ impl Atlas {
         })
     }
 
-    /// On the device: textures and indirection. The upload ring (at most 20 MiB) is not part of it.
+    /// On the device: textures, indirection and the upload ring.
     pub fn bytes(&self) -> u64 {
         self.bytes
     }
@@ -125,6 +145,11 @@ impl Atlas {
     /// Pages that can be resident at once.
     pub fn capacity(&self) -> usize {
         self.page_of_slot.len()
+    }
+
+    /// Slots that hold nothing.
+    pub fn free_slots(&self) -> usize {
+        self.free.len()
     }
 
     /// How many textures hold slots; the other views are never read.
@@ -147,75 +172,113 @@ impl Atlas {
         self.slot_of_page[page as usize] != NOT_RESIDENT
     }
 
-    /// `page`, which is resident, was read in frame `frame` (increasing, from 1).
-    pub fn touch(&mut self, page: u32, frame: u64) {
-        self.last_use_of_slot[self.slot_of_page[page as usize] as usize] = frame;
+    /// A frame begins.
+    pub fn begin_frame(&mut self) {
+        self.policy.begin_frame();
     }
 
-    /// Makes `pages` resident for frame `frame`, in slots that are empty or were not used in that frame. Their shape was checked.
-    pub fn upload<'a>(&mut self, gpu: &Gpu, frame: u64, pages: impl ExactSizeIterator<Item = (u32, &'a Page)>) -> Result<(), GpuError> {
-        let mut free: Vec<u32> = (0..self.capacity() as u32).filter(|s| self.last_use_of_slot[*s as usize] < frame).collect();
-        let needed = pages.len();
-        if free.len() < needed {
-            return Err(GpuError::TooManyPages { needed: self.capacity() - free.len() + needed, capacity: self.capacity() });
+    /// A frame wants `page`: counted, and remembered by the policy where it is there.
+    pub fn look_up(&mut self, page: u32) -> bool {
+        self.stats.look_ups += 1;
+        let slot = self.slot_of_page[page as usize];
+        if slot == NOT_RESIDENT {
+            self.stats.misses += 1;
+            return false;
         }
-        // Empty slots were never used: they come first.
-        free.sort_by_key(|s| (self.last_use_of_slot[*s as usize], *s));
-        let mut encoder = gpu.device().create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("upload pages") });
-        let mut batch = 0;
-        for (slot, (number, page)) in free.into_iter().zip(pages) {
-            if let Some(previous) = self.page_of_slot[slot as usize].replace(number) {
-                self.slot_of_page[previous as usize] = NOT_RESIDENT;
-                self.words[previous as usize] = NOT_RESIDENT;
-            }
-            self.slot_of_page[number as usize] = slot;
-            self.words[number as usize] = self.word(slot);
-            self.last_use_of_slot[slot as usize] = frame;
-            batch += self.copy_page(&mut encoder, slot, page);
-            if batch >= BATCH_BYTES {
-                let next = gpu.device().create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("upload pages") });
-                self.submit(gpu, std::mem::replace(&mut encoder, next))?;
-                batch = 0;
+        self.stats.hits += 1;
+        self.policy.touch(slot);
+        true
+    }
+
+    /// Counters since the atlas was made, and what is in it.
+    pub fn stats(&self) -> GpuCacheStats {
+        let resident_pages = (self.capacity() - self.free.len()) as u64;
+        GpuCacheStats { resident_pages, resident_bytes: resident_pages * self.shape.page_bytes(), ..self.stats }
+    }
+
+    /// Another policy from now on; it knows who is there but not since when.
+    pub fn set_policy(&mut self, kind: PolicyKind) {
+        self.policy = kind.make(self.capacity() as u64);
+        for (slot, page) in self.page_of_slot.iter().enumerate() {
+            if let Some(page) = page {
+                self.policy.insert(slot as u32, PageKey(u64::from(*page)), 1);
             }
         }
-        self.submit(gpu, encoder)?;
+    }
+
+    /// Makes `pages` resident, in slots that are empty or given up by pages that `keep` does not name. Their shape was checked.
+    pub fn upload(&mut self, gpu: &Gpu, pages: &[(u32, Arc<Page>)], keep: &dyn Fn(u32) -> bool) -> Result<(), GpuError> {
+        for batch in pages.chunks(self.ring.pages_at_once()) {
+            let places = batch.iter().map(|(number, _)| self.admit(*number, keep)).collect::<Result<Vec<_>, _>>()?;
+            self.send(gpu, batch, &places)?;
+        }
+        self.stats.uploads += pages.len() as u64;
+        self.stats.bytes_uploaded += pages.len() as u64 * self.shape.page_bytes();
         gpu.queue().write_buffer(&self.indirection, 0, bytemuck::cast_slice(&self.words));
         gpu.check()
     }
 
-    // Waiting here keeps the ring small: its chunks are free again before the next batch wants them.
-    fn submit(&mut self, gpu: &Gpu, encoder: wgpu::CommandEncoder) -> Result<(), GpuError> {
-        self.ring.finish();
-        gpu.queue().submit([encoder.finish()]);
-        self.ring.recall();
-        gpu.wait()
+    /// The last `count` uploads were ahead of need.
+    pub fn count_prefetched(&mut self, count: usize) {
+        self.stats.prefetched += count as u64;
     }
 
-    fn copy_page(&mut self, encoder: &mut wgpu::CommandEncoder, slot: u32, page: &Page) -> u64 {
-        let row_bytes = self.shape.page_size * self.shape.texel_bytes();
-        let stride = row_bytes.next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT);
-        let bytes = u64::from(stride) * u64::from(self.shape.page_size);
-        let size = wgpu::BufferSize::new(bytes).expect("a page has texels");
-        let alignment = wgpu::BufferSize::new(u64::from(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT)).expect("above zero");
-        let slice = self.ring.allocate(size, alignment);
-        let (buffer, offset) = (slice.buffer().clone(), slice.offset());
-        let mut mapped = slice.get_mapped_range_mut().expect("the ring hands out mapped memory");
-        for (row, texels) in page.bytes().chunks_exact(row_bytes as usize).enumerate() {
-            let start = row * stride as usize;
-            mapped.slice(start..start + row_bytes as usize).copy_from_slice(texels);
-        }
-        drop(mapped);
-        let (texture, layer, column, row) = self.place(slot);
-        let source = wgpu::TexelCopyBufferInfo {
-            buffer: &buffer,
-            layout: wgpu::TexelCopyBufferLayout { offset, bytes_per_row: Some(stride), rows_per_image: None },
+    // The slot that `page`, not resident, gets.
+    fn admit(&mut self, page: u32, keep: &dyn Fn(u32) -> bool) -> Result<u32, GpuError> {
+        let key = PageKey(u64::from(page));
+        self.policy.expect(key, 1);
+        let slot = match self.free.pop() {
+            Some(slot) => slot,
+            None => self.make_room(keep).ok_or(GpuError::TooManyPages { needed: self.capacity() + 1, capacity: self.capacity() })?,
         };
-        let origin = wgpu::Origin3d { x: column * self.shape.page_size, y: row * self.shape.page_size, z: layer };
-        let target =
-            wgpu::TexelCopyTextureInfo { texture: &self.textures[texture], mip_level: 0, origin, aspect: wgpu::TextureAspect::All };
-        let extent = wgpu::Extent3d { width: self.shape.page_size, height: self.shape.page_size, depth_or_array_layers: 1 };
-        encoder.copy_buffer_to_texture(source, target, extent);
-        bytes
+        self.policy.insert(slot, key, 1);
+        self.page_of_slot[slot as usize] = Some(page);
+        self.slot_of_page[page as usize] = slot;
+        self.words[page as usize] = self.word(slot);
+        Ok(slot)
+    }
+
+    // Empties the slot that the policy gives up first of those it may.
+    fn make_room(&mut self, keep: &dyn Fn(u32) -> bool) -> Option<u32> {
+        let mut kept = Vec::new();
+        let victim = loop {
+            let Some(slot) = self.policy.evict() else { break None };
+            let page = self.page_of_slot[slot as usize].expect("the policy knows only occupied slots");
+            if !keep(page) {
+                self.slot_of_page[page as usize] = NOT_RESIDENT;
+                self.words[page as usize] = NOT_RESIDENT;
+                self.page_of_slot[slot as usize] = None;
+                self.stats.evictions += 1;
+                break Some(slot);
+            }
+            kept.push((slot, PageKey(u64::from(page))));
+        };
+        for (slot, key) in kept {
+            self.policy.insert(slot, key, 1);
+        }
+        victim
+    }
+
+    fn send(&mut self, gpu: &Gpu, batch: &[(u32, Arc<Page>)], slots: &[u32]) -> Result<(), GpuError> {
+        let (shape, stride) = (self.shape, self.shape.staged_stride());
+        let row_bytes = (shape.page_size * shape.texel_bytes()) as usize;
+        let origins: Vec<_> = slots.iter().map(|slot| self.place(*slot)).collect();
+        let fill = |k: usize, mut place: wgpu::WriteOnly<'_, [u8]>| {
+            for (row, texels) in batch[k].1.bytes().chunks_exact(row_bytes).enumerate() {
+                let start = row * stride as usize;
+                place.slice(start..start + row_bytes).copy_from_slice(texels);
+            }
+        };
+        let textures = &self.textures;
+        let copy = |encoder: &mut wgpu::CommandEncoder, buffer: &wgpu::Buffer, k: usize, offset: u64| {
+            let (texture, layer, column, row) = origins[k];
+            let layout = wgpu::TexelCopyBufferLayout { offset, bytes_per_row: Some(stride), rows_per_image: None };
+            let origin = wgpu::Origin3d { x: column * shape.page_size, y: row * shape.page_size, z: layer };
+            let target = wgpu::TexelCopyTextureInfo { texture: &textures[texture], mip_level: 0, origin, aspect: wgpu::TextureAspect::All };
+            let extent = wgpu::Extent3d { width: shape.page_size, height: shape.page_size, depth_or_array_layers: 1 };
+            encoder.copy_buffer_to_texture(wgpu::TexelCopyBufferInfo { buffer, layout }, target, extent);
+        };
+        self.ring.send(gpu, batch.len(), fill, copy)
     }
 
     // Texture, layer, column and row of a slot.

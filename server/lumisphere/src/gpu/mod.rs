@@ -12,6 +12,8 @@ mod kernel;
 #[cfg(test)]
 pub(crate) mod layout_check;
 mod readback;
+mod ring;
+mod stats;
 
 pub(crate) use atlas::{Atlas, AtlasShape, conform};
 pub use device::Gpu;
@@ -20,3 +22,4 @@ pub(crate) use device::test_gpu;
 pub use error::GpuError;
 pub(crate) use kernel::{Shader, binding, storage_buffer, uniform_buffer};
 pub(crate) use readback::ReadBack;
+pub use stats::GpuCacheStats;

@@ -53,5 +53,5 @@ pub(crate) fn render_in_buckets<S>(
     })?;
     let depth = request.outputs.depth.then_some(depth);
     let provenance = request.outputs.provenance.then_some(provenance);
-    Ok(Pixels { color, depth, provenance, pages_needed: 0 })
+    Ok(Pixels { color, depth, provenance, pages_needed: 0, is_final: true })
 }

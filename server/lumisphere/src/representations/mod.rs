@@ -14,7 +14,9 @@ use thiserror::Error;
 
 use crate::geometry::Camera;
 #[cfg(feature = "gpu")]
-use crate::gpu::{Gpu, GpuError};
+use crate::gpu::{Gpu, GpuCacheStats, GpuError};
+#[cfg(feature = "gpu")]
+use crate::textures::PolicyKind;
 use crate::textures::StoreError;
 use offset_surface_light_field as oslf;
 
@@ -98,8 +100,21 @@ pub trait GpuKernel: Send {
     /// One frame; blocks. `RenderError::Gpu` means that the CPU might still do it.
     fn render(&mut self, request: &FrameRequest<'_>, pages: &CountingSource<'_>) -> Result<(Pixels, GpuFrameStats), RenderError>;
 
+    /// Brings pages that such a frame would miss, at most `upload_bytes` of texels; how many. Nothing that the last frame showed leaves.
+    fn prefetch(&mut self, request: &FrameRequest<'_>, pages: &CountingSource<'_>, upload_bytes: u64) -> Result<usize, RenderError>;
+
+    /// Which pages leave when others need their place, from now on.
+    fn set_policy(&mut self, kind: PolicyKind);
+
+    /// Takes at most `budget_bytes` from now on; forgets its pages where they have to be laid out anew. Where geometry alone takes more, the
+    /// next frame fails.
+    fn set_budget(&mut self, budget_bytes: u64);
+
     /// Held on the device.
     fn bytes(&self) -> u64;
+
+    /// Since it was made; peak and budget are the caller's to know.
+    fn stats(&self) -> GpuCacheStats;
 }
 
 /// What the GPU did for a frame.
@@ -126,6 +141,22 @@ pub struct FrameRequest<'a> {
     pub settings: &'a Settings,
     /// What to return beside colour.
     pub outputs: Outputs,
+    /// Whether the frame may be shown before all of its pages are on the device.
+    pub refine: Refine,
+}
+
+/// What to do about pages that a frame needs and that are not on the device. The CPU draws whole frames only.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Refine {
+    /// Bring all of them: the frame is final.
+    Whole,
+    /// Bring at most so many bytes of texels (at least one page, unless 0), and let the coarse level stand in for the others: the frame
+    /// is then not final, and asking again refines it. A frame whose pages cannot be on the device together, and a dataset
+    /// without a coarse level, are drawn whole.
+    UpTo {
+        /// Of a frame.
+        upload_bytes: u64,
+    },
 }
 
 /// What a frame carries beside colour.
@@ -148,6 +179,8 @@ pub struct Pixels {
     pub provenance: Option<Vec<Provenance>>,
     /// Distinct pages that the frame read.
     pub pages_needed: usize,
+    /// Whether every read was at full resolution; see [`Refine`].
+    pub is_final: bool,
 }
 
 /// Why there is no frame.

@@ -1,23 +1,19 @@
-//! Host side of `kernel.wgsl`: buffers, bands, the passes of a frame, and bringing the pages it needs.
-//!
-//! A frame is drawn in bands of rows, so that memory on the device does not grow with it. For each band the object is shaded; the
-//! kernel leaves word of every page it wanted; missing ones are fetched and uploaded, and the band is shaded again. In the steady
-//! state one pass suffices. (A coarse level that stands in for missing pages has its place in `page_texel`.)
+//! Host side of `kernel.wgsl`: what one dataset has on the device. `frame.rs` draws with it.
+
+mod frame;
 
 use std::collections::HashMap;
-use std::ops::Range;
 use std::sync::Arc;
-use std::time::Instant;
 
 use bytemuck::{Pod, Zeroable};
-use rayon::prelude::*;
 
-use super::{Blend, Component, OffsetSurfaceLightField, Settings, check_page};
-use crate::gpu::{Atlas, AtlasShape, Gpu, GpuError, ReadBack, Shader, binding, conform, storage_buffer, uniform_buffer};
+use super::coarse::Coarse;
+use super::{Blend, Component, OffsetSurfaceLightField, Settings};
+use crate::gpu::{Atlas, AtlasShape, Gpu, GpuCacheStats, GpuError, ReadBack, Shader, binding, storage_buffer, uniform_buffer};
 use crate::representations::g_buffer::{BAND_BYTES_PER_PIXEL, Band, OUTPUT_WORDS, ProxyGeometry, Rasterizer, band_entries};
 use crate::representations::page_source::CountingSource;
-use crate::representations::{FrameRequest, GpuFrameStats, GpuKernel, Pixels, Provenance, RenderError, Settings as AnySettings};
-use crate::textures::{Page, PageId};
+use crate::representations::{FrameRequest, GpuFrameStats, GpuKernel, Pixels, RenderError};
+use crate::textures::{PageId, PolicyKind};
 
 /// All of `kernel.wgsl`'s source.
 pub(crate) const SOURCE: &str = concat!(
@@ -39,20 +35,26 @@ pub(crate) struct ShadingUniform {
     pub map_size: u32,
     pub baseline_cube: u32,
     pub stamp: u32,
+    pub coarse_size: u32,
+    pub first_pixel: u32,
+    pub end_pixel: u32,
+    pub padding: u32,
 }
 
 // A band has at most this many pixels: 32 MiB on the device with everything that grows with it.
 const MAX_BAND_PIXELS: u32 = 1 << 19;
+// A look ahead has at most this many.
+const MAX_GLANCE_PIXELS: u32 = MAX_BAND_PIXELS / 16;
 // With the copy of the output that is read back.
 const BYTES_PER_PIXEL: u64 = BAND_BYTES_PER_PIXEL + 4 * OUTPUT_WORDS;
-// Shading passes of one band: a second one finds every page, a third one means a bug.
-const MAX_PASSES: u32 = 3;
+const BAND_BYTES: u64 = (MAX_BAND_PIXELS + MAX_GLANCE_PIXELS) as u64 * BYTES_PER_PIXEL;
 
 /// One dataset on the device.
 pub(crate) struct Kernel {
     gpu: Arc<Gpu>,
     field: Arc<OffsetSurfaceLightField>,
     budget_bytes: u64,
+    policy: PolicyKind,
     rasterizer: Rasterizer,
     shader: Shader,
     shading: wgpu::Buffer,
@@ -60,13 +62,21 @@ pub(crate) struct Kernel {
     sample_maps: wgpu::Buffer,
     touched: wgpu::Buffer,
     touched_read_back: ReadBack,
-    pipelines: HashMap<(u32, u32), wgpu::ComputePipeline>,
+    pipelines: HashMap<PipelineKey, wgpu::ComputePipeline>,
+    coarse: Coarse,
     // Made with the first page, whose format it takes.
     atlas: Option<BoundAtlas>,
-    band: Option<BoundBand>,
+    // Of frames, and of looks ahead.
+    bands: [Option<BoundBand>; 2],
     stamp: u32,
-    frames: u64,
+    // Which pages the last frame wanted; they do not fit together where there are more than slots.
+    last_wanted: Vec<bool>,
+    // Of atlases that are gone.
+    earlier: GpuCacheStats,
 }
+
+// Component, blend, textures of the atlas, whether the coarse level stands in.
+type PipelineKey = (u32, u32, usize, bool);
 
 struct BoundAtlas {
     atlas: Atlas,
@@ -75,6 +85,7 @@ struct BoundAtlas {
     resources: wgpu::BindGroup,
 }
 
+/// What a band of one size needs.
 struct BoundBand {
     band: Band,
     resources: wgpu::BindGroup,
@@ -93,13 +104,14 @@ impl Kernel {
             binding::read_buffer(4),
             binding::read_buffer(5),
             binding::write_buffer(6),
+            binding::read_buffer(7),
         ];
         let atlas_entries = [0, 1, 2, 3].map(binding::texture_array);
         let none = wgpu::BufferUsages::empty();
         let positions: Vec<[f32; 4]> = field.sample_points.iter().map(|p| p.position.extend(0.0).into()).collect();
         // On little-endian machines, the only ones there are graphics drivers for, four u16 are the two words that WGSL unpacks.
         let maps: Vec<[u32; 2]> = field.sample_maps.indices.iter().map(|i| [pair(i[0], i[1]), pair(i[2], i[3])]).collect();
-        let touched_words = vec![0u32; field.page_count()];
+        let touched_words = vec![0u32; field.face_count()];
         let kernel = Self {
             rasterizer: Rasterizer::new(&gpu, &geometry)?,
             shader: Shader::new(&gpu, "offset surface light field", SOURCE, &[&band_entries(), &entries, &atlas_entries]),
@@ -108,46 +120,53 @@ impl Kernel {
             sample_maps: storage_buffer(&gpu, "sample maps", &maps, none),
             touched: storage_buffer(&gpu, "touched", &touched_words, wgpu::BufferUsages::COPY_SRC),
             touched_read_back: ReadBack::new(&gpu, "touched", 4 * touched_words.len() as u64),
+            coarse: Coarse::planned(&gpu, &field, budget_bytes),
             pipelines: HashMap::new(),
             atlas: None,
-            band: None,
+            bands: [None, None],
             stamp: 0,
-            frames: 0,
+            last_wanted: vec![false; field.face_count()],
+            earlier: GpuCacheStats::default(),
+            policy: PolicyKind::Lru,
             budget_bytes,
             field,
             gpu,
         };
         kernel.gpu.check()?;
-        let needed_bytes = kernel.fixed_bytes() + u64::from(MAX_BAND_PIXELS) * BYTES_PER_PIXEL;
-        if needed_bytes >= budget_bytes {
-            return Err(GpuError::OverBudget { what: "the dataset's geometry", needed_bytes, budget_bytes });
-        }
+        kernel.atlas_budget()?;
         Ok(kernel)
     }
 
-    /// The last band's G-buffer.
+    /// The last frame's last band's G-buffer.
     #[cfg(test)]
     pub fn read_g_buffer(&self) -> Vec<crate::representations::g_buffer::GBufferPixel> {
-        self.rasterizer.read_g_buffer(&self.gpu, &self.band.as_ref().expect("a frame was rendered").band)
+        self.rasterizer.read_g_buffer(&self.gpu, &self.bands[0].as_ref().expect("a frame was rendered").band)
     }
 
-    /// From the next frame on the atlas takes at most this much.
+    /// A budget that leaves room for this many pages in f16.
     #[cfg(test)]
-    pub fn set_atlas_budget(&mut self, bytes: u64) {
-        self.budget_bytes = self.fixed_bytes() + u64::from(MAX_BAND_PIXELS) * BYTES_PER_PIXEL + bytes;
+    pub fn set_slots(&mut self, slots: u64) {
+        let page_size = self.field.parameters.face_size_texels;
+        let shape = AtlasShape { page_count: self.field.face_count(), page_size, pixel: crate::textures::PixelFormat::F16 };
+        self.set_budget(self.fixed_bytes() + shape.bytes_beside() + slots * shape.page_bytes());
     }
 
+    #[cfg(test)]
+    pub fn budget(&self) -> u64 {
+        self.budget_bytes
+    }
+
+    // Everything but the atlas and what a frame has not needed yet.
     fn fixed_bytes(&self) -> u64 {
         let buffers = [&self.sample_points, &self.sample_maps, &self.touched, self.touched_read_back.buffer()];
-        self.rasterizer.bytes() + buffers.iter().map(|b| b.size()).sum::<u64>()
+        let held = self.rasterizer.bytes() + buffers.iter().map(|b| b.size()).sum::<u64>();
+        held + self.coarse.bytes(&self.field) + BAND_BYTES
     }
 
-    fn pipelines(&mut self, settings: &Settings) -> (u32, u32) {
-        let key = (component_number(settings.component), blend_number(settings));
-        let textures = self.atlas.as_ref().map_or(1, |a| a.atlas.texture_count());
-        let constants = [("COMPONENT", f64::from(key.0)), ("BLEND", f64::from(key.1)), ("ATLAS_TEXTURES", textures as f64)];
-        self.pipelines.entry(key).or_insert_with(|| self.shader.compute_pipeline(&self.gpu, "shade", &constants));
-        key
+    fn atlas_budget(&self) -> Result<u64, GpuError> {
+        let (needed_bytes, budget_bytes) = (self.fixed_bytes(), self.budget_bytes);
+        let too_much = GpuError::OverBudget { what: "the dataset's geometry", needed_bytes, budget_bytes };
+        budget_bytes.checked_sub(needed_bytes).filter(|left| *left > 0).ok_or(too_much)
     }
 
     // The first page tells what all of them look like.
@@ -157,224 +176,100 @@ impl Kernel {
         }
         let page_size = self.field.parameters.face_size_texels;
         let pixel = pages.page(PageId(0))?.shape().pixel;
-        let shape = AtlasShape { page_count: self.field.page_count(), page_size, pixel };
-        let budget = self.budget_bytes - self.fixed_bytes() - u64::from(MAX_BAND_PIXELS) * BYTES_PER_PIXEL;
-        let atlas = Atlas::new(&self.gpu, shape, budget)?;
+        let shape = AtlasShape { page_count: self.field.face_count(), page_size, pixel };
+        let atlas = Atlas::new(&self.gpu, shape, self.atlas_budget()?, self.policy)?;
         let views: Vec<_> = atlas.views().iter().map(wgpu::BindingResource::TextureView).collect();
         let views = self.shader.bind(&self.gpu, 2, &views);
-        let [triangles, vertices] = self.rasterizer.object_buffers();
-        let resources = [triangles, vertices, &self.shading, &self.sample_points, &self.sample_maps, atlas.indirection(), &self.touched];
-        let resources = self.shader.bind(&self.gpu, 1, &resources.map(wgpu::Buffer::as_entire_binding));
+        let resources = self.bind_resources(&atlas);
         self.atlas = Some(BoundAtlas { atlas, shape, views, resources });
         Ok(())
     }
 
-    fn ensure_band(&mut self, width: u32, rows: u32) -> Result<(), GpuError> {
-        if self.band.as_ref().is_some_and(|b| (b.band.width, b.band.rows) == (width, rows)) {
+    fn bind_resources(&self, atlas: &Atlas) -> wgpu::BindGroup {
+        let [triangles, vertices] = self.rasterizer.object_buffers();
+        let (shading, maps, coarse) = (&self.shading, &self.sample_maps, &self.coarse.texels);
+        let resources = [triangles, vertices, shading, &self.sample_points, maps, atlas.indirection(), &self.touched, coarse];
+        self.shader.bind(&self.gpu, 1, &resources.map(wgpu::Buffer::as_entire_binding))
+    }
+
+    fn ensure_coarse(&mut self, pages: &CountingSource<'_>) -> Result<(), RenderError> {
+        if self.coarse.fill(&self.gpu, &self.field, pages)? {
+            let resources = self.bind_resources(&self.atlas.as_ref().expect("made before any frame").atlas);
+            self.atlas.as_mut().expect("made before any frame").resources = resources;
+        }
+        Ok(())
+    }
+
+    fn ensure_band(&mut self, which: usize, width: u32, rows: u32) -> Result<(), GpuError> {
+        if self.bands[which].as_ref().is_some_and(|b| (b.band.width, b.band.rows) == (width, rows)) {
             return Ok(());
         }
         // The old one first, so that both are never held at once.
-        self.band = None;
+        self.bands[which] = None;
         let band = self.rasterizer.band(&self.gpu, width, rows);
         let resources = self.rasterizer.bind_band(&self.gpu, &self.shader, &band);
         let read_back = ReadBack::new(&self.gpu, "output", band.output().size());
         self.gpu.check()?;
-        self.band = Some(BoundBand { band, resources, read_back });
+        self.bands[which] = Some(BoundBand { band, resources, read_back });
         Ok(())
     }
 
-    fn render_band(&mut self, frame: &mut FrameInProgress<'_, '_>, first_row: u32, rows: u32) -> Result<(), RenderError> {
-        let begin = Instant::now();
-        let camera = frame.request.camera;
-        self.ensure_band(camera.intrinsics().width_px, rows)?;
-        let gpu = self.gpu.clone();
-        let mut encoder = new_encoder(&gpu);
-        let band = &self.band.as_ref().expect("made above").band;
-        self.rasterizer.draw(&gpu, &mut encoder, camera, first_row, band)?;
-        self.record_pass(&mut encoder, frame);
-        let mut passes = 1;
-        loop {
-            let recorded = std::mem::replace(&mut encoder, new_encoder(&gpu));
-            gpu.queue().submit([recorded.finish()]);
-            let missing = self.missing_pages(&gpu, frame)?;
-            if missing.is_empty() {
-                break;
-            }
-            if passes == MAX_PASSES {
-                return Err(GpuError::Failed { reason: "pages stay missing after they were uploaded".into() }.into());
-            }
-            frame.stats.gpu_millis += millis_since(begin) - frame.stats.pages_millis;
-            self.bring(&gpu, frame, &missing)?;
-            self.record_pass(&mut encoder, frame);
-            passes += 1;
-        }
-        frame.stats.passes = frame.stats.passes.max(passes);
-        frame.stats.gpu_millis += millis_since(begin);
-        self.read_band(frame)
+    fn pipeline(&mut self, settings: &Settings, coarse: bool) -> PipelineKey {
+        let textures = self.atlas.as_ref().map_or(1, |a| a.atlas.texture_count());
+        let key = (component_number(settings.component), blend_number(settings), textures, coarse);
+        let constants = [
+            ("COMPONENT", f64::from(key.0)),
+            ("BLEND", f64::from(key.1)),
+            ("ATLAS_TEXTURES", textures as f64),
+            ("COARSE", f64::from(u8::from(coarse))),
+        ];
+        self.pipelines.entry(key).or_insert_with(|| self.shader.compute_pipeline(&self.gpu, "shade", &constants));
+        key
     }
-
-    // Shading, and the copies that a pass's results leave by.
-    fn record_pass(&mut self, encoder: &mut wgpu::CommandEncoder, frame: &FrameInProgress<'_, '_>) {
-        let key = self.pipelines(frame.settings);
-        self.stamp = self.stamp.wrapping_add(1).max(1);
-        let uniform = ShadingUniform {
-            specular_reflectance: frame.settings.specular_reflectance.into(),
-            exponent: exponent(frame.settings.blend),
-            face_size: self.field.parameters.face_size_texels,
-            map_size: self.field.sample_maps.size as u32,
-            baseline_cube: self.field.sample_points.len() as u32,
-            stamp: self.stamp,
-        };
-        self.gpu.queue().write_buffer(&self.shading, 0, bytemuck::bytes_of(&uniform));
-        let (band, atlas) = (self.band.as_ref().expect("made before"), self.atlas.as_ref().expect("made before"));
-        let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
-        pass.set_bind_group(0, &band.resources, &[]);
-        pass.set_bind_group(1, &atlas.resources, &[]);
-        pass.set_bind_group(2, &atlas.views, &[]);
-        pass.set_pipeline(&self.pipelines[&key]);
-        band.band.dispatch_over_object(&mut pass);
-        drop(pass);
-        let pages = self.touched_read_back.buffer();
-        encoder.copy_buffer_to_buffer(&self.touched, 0, pages, 0, self.touched.size());
-        for range in wanted_ranges(band.band.pixels(), frame.request) {
-            encoder.copy_buffer_to_buffer(band.band.output(), range.start, band.read_back.buffer(), range.start, range.end - range.start);
-        }
-    }
-
-    // Waits for the pass; which pages it wanted, and which of them were not there.
-    fn missing_pages(&mut self, gpu: &Gpu, frame: &mut FrameInProgress<'_, '_>) -> Result<Vec<u32>, GpuError> {
-        let atlas = &mut self.atlas.as_mut().expect("made before").atlas;
-        let stamp = self.stamp;
-        let mut missing = Vec::new();
-        self.touched_read_back.request(0..self.touched_read_back.bytes()).finish(gpu, |bytes| {
-            let stamps = bytes.chunks_exact(4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]));
-            for (page, _) in stamps.enumerate().filter(|(_, s)| *s == stamp) {
-                frame.needed[page] = true;
-                if atlas.is_resident(page as u32) {
-                    atlas.touch(page as u32, frame.number);
-                } else {
-                    missing.push(page as u32);
-                }
-            }
-        })?;
-        Ok(missing)
-    }
-
-    // Fetches and uploads.
-    fn bring(&mut self, gpu: &Gpu, frame: &mut FrameInProgress<'_, '_>, missing: &[u32]) -> Result<(), RenderError> {
-        let begin = Instant::now();
-        let bound = self.atlas.as_mut().expect("made before");
-        let face_size = self.field.parameters.face_size_texels;
-        let fetch = |page: &u32| {
-            let fetched = frame.pages.page(PageId(*page))?;
-            check_page(*page, &fetched, face_size)?;
-            Ok((*page, conform(fetched, bound.shape)?))
-        };
-        let needed = frame.needed.iter().filter(|n| **n).count();
-        if missing.len() > bound.atlas.capacity() {
-            return Err(GpuError::TooManyPages { needed, capacity: bound.atlas.capacity() }.into());
-        }
-        // In batches, so that pages in flight do not fill memory: the source's cache may be small.
-        for batch in missing.chunks(PAGES_IN_FLIGHT) {
-            let pages: Vec<(u32, Arc<Page>)> = batch.par_iter().map(fetch).collect::<Result<_, RenderError>>()?;
-            bound.atlas.upload(gpu, frame.number, pages.iter().map(|(number, page)| (*number, page.as_ref())))?;
-        }
-        frame.stats.pages_uploaded += missing.len();
-        frame.stats.pages_millis += millis_since(begin);
-        Ok(())
-    }
-
-    fn read_band(&mut self, frame: &mut FrameInProgress<'_, '_>) -> Result<(), RenderError> {
-        let begin = Instant::now();
-        let band = self.band.as_ref().expect("made before");
-        let pixels = band.band.pixels() as usize;
-        let last = wanted_ranges(band.band.pixels(), frame.request).last().map_or(0, |r| r.end);
-        let (color, depth, provenance) = (&mut frame.color, &mut frame.depth, &mut frame.provenance);
-        band.read_back.request(0..last.next_multiple_of(wgpu::MAP_ALIGNMENT).min(band.read_back.bytes())).finish(&self.gpu, |bytes| {
-            // Mapped memory is aligned to 8 bytes; pod_collect does not depend on it.
-            extend_from_bytes(color, &bytes[..12 * pixels]);
-            if let Some(depth) = depth {
-                extend_from_bytes(depth, &bytes[12 * pixels..16 * pixels]);
-            }
-            if let Some(provenance) = provenance {
-                extend_from_bytes(provenance, &bytes[16 * pixels..20 * pixels]);
-            }
-        })?;
-        frame.stats.read_back_millis += millis_since(begin);
-        Ok(())
-    }
-}
-
-// At most this many decoded pages wait for their upload.
-const PAGES_IN_FLIGHT: usize = 256;
-
-/// A frame of which some bands are done.
-struct FrameInProgress<'a, 'p> {
-    request: &'a FrameRequest<'a>,
-    settings: &'a Settings,
-    pages: &'a CountingSource<'p>,
-    number: u64,
-    needed: Vec<bool>,
-    color: Vec<f32>,
-    depth: Option<Vec<f32>>,
-    provenance: Option<Vec<Provenance>>,
-    stats: GpuFrameStats,
 }
 
 impl GpuKernel for Kernel {
     fn render(&mut self, request: &FrameRequest<'_>, pages: &CountingSource<'_>) -> Result<(Pixels, GpuFrameStats), RenderError> {
-        let AnySettings::OffsetSurfaceLightField(settings) = request.settings;
-        let (width, height) = (request.camera.intrinsics().width_px, request.camera.intrinsics().height_px);
-        let limit = self.gpu.device().limits().max_texture_dimension_2d.min(MAX_BAND_PIXELS);
-        if width > limit {
-            let what = "width of the frame in pixels";
-            return Err(GpuError::BeyondLimit { what, needed: u64::from(width), limit: u64::from(limit) }.into());
+        self.draw(request, pages)
+    }
+
+    fn prefetch(&mut self, request: &FrameRequest<'_>, pages: &CountingSource<'_>, upload_bytes: u64) -> Result<usize, RenderError> {
+        self.look_ahead(request, pages, upload_bytes)
+    }
+
+    fn set_policy(&mut self, kind: PolicyKind) {
+        self.policy = kind;
+        if let Some(bound) = &mut self.atlas {
+            bound.atlas.set_policy(kind);
         }
-        self.ensure_atlas(pages)?;
-        self.frames += 1;
-        let pixels = width as usize * height as usize;
-        let mut frame = FrameInProgress {
-            request,
-            settings,
-            pages,
-            number: self.frames,
-            needed: vec![false; self.field.page_count()],
-            color: Vec::with_capacity(3 * pixels),
-            depth: request.outputs.depth.then(|| Vec::with_capacity(pixels)),
-            provenance: request.outputs.provenance.then(|| Vec::with_capacity(pixels)),
-            stats: GpuFrameStats::default(),
-        };
-        let band_rows = (MAX_BAND_PIXELS / width).min(limit).min(height);
-        for first_row in (0..height).step_by(band_rows as usize) {
-            self.render_band(&mut frame, first_row, band_rows.min(height - first_row))?;
+    }
+
+    fn set_budget(&mut self, budget_bytes: u64) {
+        // With what a larger frame would take beside it.
+        let fits = |a: &BoundAtlas| self.fixed_bytes() + a.atlas.bytes() <= budget_bytes;
+        let keeps = self.atlas.as_ref().is_some_and(|a| a.atlas.capacity() >= a.shape.page_count && fits(a));
+        self.budget_bytes = budget_bytes;
+        if !keeps {
+            self.earlier = GpuCacheStats { resident_pages: 0, resident_bytes: 0, ..self.stats() };
+            if let Some(bound) = self.atlas.take() {
+                self.earlier.evictions += bound.atlas.stats().resident_pages;
+            }
+            self.coarse = Coarse::planned(&self.gpu, &self.field, budget_bytes);
+            self.bands = [None, None];
         }
-        let pages_needed = frame.needed.iter().filter(|n| **n).count();
-        let pixels = Pixels { color: frame.color, depth: frame.depth, provenance: frame.provenance, pages_needed };
-        Ok((pixels, frame.stats))
     }
 
     fn bytes(&self) -> u64 {
-        let band = self.band.as_ref().map_or(0, |b| u64::from(b.band.pixels()) * BYTES_PER_PIXEL);
-        self.fixed_bytes() + band + self.atlas.as_ref().map_or(0, |a| a.atlas.bytes())
+        let unused = |(band, most): (&Option<BoundBand>, u32)| u64::from(most - band.as_ref().map_or(0, |b| b.band.pixels()));
+        let sizes = self.bands.iter().zip([MAX_BAND_PIXELS, MAX_GLANCE_PIXELS]);
+        let unused = sizes.map(unused).sum::<u64>() * BYTES_PER_PIXEL + self.coarse.unfilled_bytes(&self.field);
+        self.fixed_bytes() - unused + self.atlas.as_ref().map_or(0, |a| a.atlas.bytes())
     }
-}
 
-// Colour, and what else was asked for, as byte ranges of the output; neighbours are merged.
-fn wanted_ranges(pixels: u32, request: &FrameRequest<'_>) -> impl Iterator<Item = Range<u64>> {
-    let n = 4 * u64::from(pixels);
-    let (first, second) = match (request.outputs.depth, request.outputs.provenance) {
-        (false, false) => (0..3 * n, 0..0),
-        (true, false) => (0..4 * n, 0..0),
-        (true, true) => (0..5 * n, 0..0),
-        (false, true) => (0..3 * n, 4 * n..5 * n),
-    };
-    [first, second].into_iter().filter(|r| !r.is_empty())
-}
-
-fn extend_from_bytes<T: Pod>(out: &mut Vec<T>, bytes: &[u8]) {
-    match bytemuck::try_cast_slice(bytes) {
-        Ok(values) => out.extend_from_slice(values),
-        Err(_) => out.extend(bytes.chunks_exact(size_of::<T>()).map(bytemuck::pod_read_unaligned::<T>)),
+    fn stats(&self) -> GpuCacheStats {
+        let mut stats = GpuCacheStats { device_bytes: self.bytes(), ..self.atlas.as_ref().map(|a| a.atlas.stats()).unwrap_or_default() };
+        stats.add(&GpuCacheStats { device_bytes: 0, ..self.earlier });
+        stats
     }
 }
 
@@ -401,19 +296,4 @@ fn blend_number(settings: &Settings) -> u32 {
         Blend::Normal { .. } => 4,
         Blend::EnvironmentMap => 5,
     }
-}
-
-fn exponent(blend: Blend) -> f32 {
-    match blend {
-        Blend::Reflection { exponent } | Blend::Normal { exponent } => exponent,
-        Blend::Distance | Blend::Angle | Blend::Average | Blend::EnvironmentMap => 0.0,
-    }
-}
-
-fn new_encoder(gpu: &Gpu) -> wgpu::CommandEncoder {
-    gpu.device().create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("frame") })
-}
-
-fn millis_since(begin: Instant) -> f64 {
-    1e3 * begin.elapsed().as_secs_f64()
 }

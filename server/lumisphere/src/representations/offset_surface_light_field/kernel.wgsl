@@ -9,6 +9,12 @@ struct Shading {
     baseline_cube: u32,
     // Differs from every earlier pass's.
     stamp: u32,
+    // Texels along a face of the coarse level.
+    coarse_size: u32,
+    // Of the band, row by row; the others are left as they are.
+    first_pixel: u32,
+    end_pixel: u32,
+    padding: u32,
 }
 
 @group(1) @binding(0) var<storage, read> object_triangles: array<u32>;
@@ -19,10 +25,14 @@ struct Shading {
 @group(1) @binding(4) var<storage, read> sample_maps: array<vec2<u32>>;
 @group(1) @binding(5) var<storage, read> indirection: array<u32>;
 @group(1) @binding(6) var<storage, read_write> touched: array<atomic<u32>>;
+// Every face's texels as RGB9E5.
+@group(1) @binding(7) var<storage, read> coarse: array<u32>;
 
 // Component and Blend, as kernel.rs numbers them.
 override COMPONENT: u32 = 0u;
 override BLEND: u32 = 0u;
+// Whether the coarse level stands in for pages that are not resident.
+override COARSE: bool = false;
 
 const RECONSTRUCTION: u32 = 0u;
 const MIRROR: u32 = 1u;
@@ -58,8 +68,17 @@ fn cube_texel(cube: u32, texel: CubeTexel) -> vec3<f32> {
     return page_texel(6u * cube + texel.face, texel.column, texel.row);
 }
 
-fn read_cube(cube: u32, direction: vec3<f32>) -> vec3<f32> {
-    let n = i32(shading.face_size);
+// The four texels around a direction and their weights, sum 1.
+struct Footprint {
+    t00: CubeTexel,
+    t10: CubeTexel,
+    t01: CubeTexel,
+    t11: CubeTexel,
+    weights: vec4<f32>,
+}
+
+fn footprint(direction: vec3<f32>, size: u32) -> Footprint {
+    let n = i32(size);
     let position = face_from_direction(direction);
     let at = (position.st + 1.0) * (0.5 * f32(n)) - 0.5;
     let base = floor(at);
@@ -77,10 +96,40 @@ fn read_cube(cube: u32, direction: vec3<f32>) -> vec3<f32> {
     let sum = w00 + w10 + w01 + w11;
     // Where a texel does not exist another one's page is read with weight 0.
     let some = choose(t11, t00);
-    var radiance = (w00 / sum) * cube_texel(cube, some);
-    radiance += (w10 / sum) * cube_texel(cube, choose(some, t10));
-    radiance += (w01 / sum) * cube_texel(cube, choose(some, t01));
-    radiance += (w11 / sum) * cube_texel(cube, choose(some, t11));
+    return Footprint(some, choose(some, t10), choose(some, t01), choose(some, t11), vec4(w00, w10, w01, w11) / sum);
+}
+
+fn read_cube(cube: u32, direction: vec3<f32>) -> vec3<f32> {
+    let at = footprint(direction, shading.face_size);
+    var radiance = at.weights.x * cube_texel(cube, at.t00);
+    radiance += at.weights.y * cube_texel(cube, at.t10);
+    radiance += at.weights.z * cube_texel(cube, at.t01);
+    radiance += at.weights.w * cube_texel(cube, at.t11);
+    if COARSE {
+        let all = is_resident(cube, at.t00) && is_resident(cube, at.t10) && is_resident(cube, at.t01) && is_resident(cube, at.t11);
+        radiance = select(read_coarse(cube, direction), radiance, all);
+    }
+    return radiance;
+}
+
+fn is_resident(cube: u32, texel: CubeTexel) -> bool {
+    return indirection[6u * cube + texel.face] != NOT_RESIDENT;
+}
+
+fn coarse_texel(cube: u32, texel: CubeTexel) -> vec3<f32> {
+    let n = shading.coarse_size;
+    let word = coarse[((6u * cube + texel.face) * n + texel.row) * n + texel.column];
+    // Mantissas of 9 bits below the point, exponent biased by 15.
+    let step = bitcast<f32>(((word >> 27u) + 103u) << 23u);
+    return step * vec3(f32(word & 0x1ffu), f32((word >> 9u) & 0x1ffu), f32((word >> 18u) & 0x1ffu));
+}
+
+fn read_coarse(cube: u32, direction: vec3<f32>) -> vec3<f32> {
+    let at = footprint(direction, shading.coarse_size);
+    var radiance = at.weights.x * coarse_texel(cube, at.t00);
+    radiance += at.weights.y * coarse_texel(cube, at.t10);
+    radiance += at.weights.z * coarse_texel(cube, at.t01);
+    radiance += at.weights.w * coarse_texel(cube, at.t11);
     return radiance;
 }
 
@@ -302,6 +351,10 @@ fn shade(@builtin(global_invocation_id) id: vec3<u32>) {
         return;
     }
     let at = listed_pixel(OBJECT_LIST, id.x);
+    let index = at.y * camera.size.x + at.x;
+    if index < shading.first_pixel || index >= shading.end_pixel {
+        return;
+    }
     let direction = direction_of(at);
     let point = object_point(direction, visible_triangle(at) - 1u);
     let shaded = shade_object(direction, point);

@@ -12,6 +12,8 @@
 //!
 //! Source: the methods page "Offset surface light field" and the paper behind it.
 
+#[cfg(feature = "gpu")]
+mod coarse;
 mod construct;
 #[cfg(feature = "gpu")]
 mod kernel;
@@ -52,7 +54,8 @@ pub const NO_SAMPLE: u16 = u16::MAX;
 /// One dataset version of this kind, without its pages.
 ///
 /// Pages: face f of cube map k is page `6·k + f`: `face_size_texels`² texels of R, G, B, distance. Cube map
-/// `sample_points.len()` is the baseline environment map at `parameters.object_center`, taken without the object.
+/// `sample_points.len()` is the baseline environment map at `parameters.object_center`, taken without the object. Where there is a
+/// coarse level, one page more for each of the n cube maps, 6·n + k: its faces below each other, small, R, G, B.
 #[derive(Debug, Clone)]
 pub struct OffsetSurfaceLightField {
     /// What it was built with.
@@ -77,6 +80,9 @@ pub struct Parameters {
     pub epsilon: f32,
     /// Texels along a cube-map face.
     pub face_size_texels: u32,
+    /// Texels along a face of the coarse level; 0 in datasets that have none, as versions before it.
+    #[serde(default)]
+    pub coarse_face_size_texels: u32,
     /// Texels along a sample map.
     pub sample_map_size_texels: u32,
     /// How the sample points were placed.
@@ -206,9 +212,19 @@ impl OffsetSurfaceLightField {
         (crate::directions::FACES * cube + face) as u32
     }
 
-    /// How many pages its dataset has, the baseline's included.
+    /// How many cube maps there are, the baseline's included.
+    pub fn cube_count(&self) -> usize {
+        self.sample_points.len() + 1
+    }
+
+    /// How many pages are faces of full size.
+    pub fn face_count(&self) -> usize {
+        crate::directions::FACES * self.cube_count()
+    }
+
+    /// How many pages its dataset has.
     pub fn page_count(&self) -> usize {
-        crate::directions::FACES * (self.sample_points.len() + 1)
+        self.face_count() + if self.parameters.coarse_face_size_texels > 0 { self.cube_count() } else { 0 }
     }
 }
 

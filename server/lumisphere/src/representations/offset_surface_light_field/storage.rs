@@ -178,6 +178,7 @@ mod tests {
                 object: "pot".into(),
                 epsilon: 0.1,
                 face_size_texels: 16,
+                coarse_face_size_texels: 0,
                 sample_map_size_texels: 2,
                 spacing: Spacing::Count(4),
                 object_center: [0.0; 3],

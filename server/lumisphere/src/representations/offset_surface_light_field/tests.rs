@@ -3,6 +3,8 @@
 pub(crate) mod fixture;
 #[cfg(feature = "gpu")]
 mod gpu_equals_cpu;
+#[cfg(feature = "gpu")]
+mod paging;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -14,7 +16,7 @@ use super::{Blend, Component, NO_SAMPLE, OffsetSurfaceLightField, Settings};
 use crate::geometry::{Camera, Intrinsics, Pose};
 use crate::images::{Golden, Image, Tolerance, check_golden, count_beyond, elements_agree};
 use crate::render::{Backend, Frame, FrameRequest, Outputs, RenderError, Renderer};
-use crate::representations::{Answer, Settings as AnySettings};
+use crate::representations::{Answer, Refine, Settings as AnySettings};
 use crate::textures::{PixelFormat, StoreError};
 use fixture::{MemoryPages, WORLD, World, environment_radiance, starve, surface_radiance};
 
@@ -46,7 +48,7 @@ fn reconstruction() -> Settings {
 
 fn frame_of(field: OffsetSurfaceLightField, pages: &MemoryPages, camera: &Camera, settings: Settings) -> Result<Frame, RenderError> {
     let settings = AnySettings::OffsetSurfaceLightField(settings);
-    let request = FrameRequest { camera, settings: &settings, outputs: EVERYTHING };
+    let request = FrameRequest { camera, settings: &settings, outputs: EVERYTHING, refine: Refine::Whole };
     let field: Arc<dyn crate::representations::Representation> = Arc::new(field);
     Renderer::cpu_only().render(&field, pages, &request, Some(Backend::Cpu))
 }

@@ -17,8 +17,8 @@ use crate::render::{Backend, RenderError, Renderer};
 use crate::representations::g_buffer::{GBufferPixel, Seen};
 use crate::representations::offset_surface_light_field::{Blend, Component, OffsetSurfaceLightField, Settings};
 use crate::representations::{
-    Answer, CountingSource, FrameRequest, GpuFrameStats, GpuKernel, Outputs, Pixels, Provenance, RenderError as Error, Representation,
-    Settings as AnySettings,
+    Answer, CountingSource, FrameRequest, GpuFrameStats, GpuKernel, Outputs, Pixels, Provenance, Refine, RenderError as Error,
+    Representation, Settings as AnySettings,
 };
 use crate::textures::PixelFormat;
 
@@ -43,7 +43,7 @@ impl Twins {
 
     fn on_gpu(&mut self, camera: &Camera, settings: Settings) -> Result<(Pixels, GpuFrameStats), Error> {
         let settings = AnySettings::OffsetSurfaceLightField(settings);
-        let request = FrameRequest { camera, settings: &settings, outputs: EVERYTHING };
+        let request = FrameRequest { camera, settings: &settings, outputs: EVERYTHING, refine: Refine::Whole };
         self.kernel.render(&request, &CountingSource::new(&self.pages))
     }
 
@@ -185,7 +185,7 @@ fn frames_of_several_bands_have_no_seam() {
     assert_eq!(pixels.color.len(), 3 * 1024 * 700);
     let field: Arc<dyn Representation> = twins.field.clone();
     let any = AnySettings::OffsetSurfaceLightField(settings);
-    let request = FrameRequest { camera: &camera, settings: &any, outputs: EVERYTHING };
+    let request = FrameRequest { camera: &camera, settings: &any, outputs: EVERYTHING, refine: Refine::Whole };
     let cpu = Renderer::cpu_only().render(&field, &twins.pages, &request, None).unwrap().pixels;
     // Silhouettes and ties alone differ: some hundreds of 716 800 pixels.
     let report = count_beyond(&cpu.color, &pixels.color, &Tolerance::F32_LOOKUP).unwrap();
@@ -207,28 +207,6 @@ fn pages_come_once_and_stay() {
 }
 
 #[test]
-fn a_small_atlas_gives_up_old_pages_and_shows_the_same() {
-    // Pages of 32² in f16 take 8 KiB: 486 of them nearly 4 MiB. A frame reads fewer than 200.
-    let fixed = 64 << 20;
-    let budgets = [BUDGET, fixed];
-    let mut frames: Vec<Vec<Pixels>> = Vec::new();
-    for budget in budgets {
-        let Some(mut twins) = Twins::new(WORLD.build(), budget) else { return };
-        if budget == fixed {
-            // What is left beside geometry and a band's targets holds 250 pages.
-            let left = 250 * 32 * 32 * 8 + 4 * 500;
-            twins.kernel.set_atlas_budget(left);
-        }
-        let orbit = (0..8).map(|k| std::f32::consts::TAU * k as f32 / 8.0).map(|a| Vec3::new(3.0 * a.cos(), 0.6, 3.0 * a.sin()));
-        let mirror = settings(Component::Mirror, Blend::Distance);
-        let cameras = orbit.map(|origin| WORLD.camera(origin, Vec3::ZERO, WIDTH, HEIGHT));
-        frames.push(cameras.map(|camera| twins.on_gpu(&camera, mirror).unwrap().0).collect());
-        assert!(twins.kernel.bytes() <= budget);
-    }
-    assert_eq!(frames[0], frames[1]);
-}
-
-#[test]
 fn a_frame_that_cannot_be_drawn_falls_back_to_the_cpu_and_says_why() {
     if test_gpu().is_none() {
         return;
@@ -237,7 +215,8 @@ fn a_frame_that_cannot_be_drawn_falls_back_to_the_cpu_and_says_why() {
     let field: Arc<dyn Representation> = Arc::new(field);
     let camera = WORLD.camera(Vec3::new(1.2, 0.9, 2.4), Vec3::ZERO, WIDTH, HEIGHT);
     let any = AnySettings::OffsetSurfaceLightField(settings(Component::Mirror, Blend::Average));
-    let request = FrameRequest { camera: &camera, settings: &any, outputs: Outputs { depth: false, provenance: false } };
+    let request =
+        FrameRequest { camera: &camera, settings: &any, outputs: Outputs { depth: false, provenance: false }, refine: Refine::Whole };
     let small = Renderer::with_gpu(1 << 20).unwrap();
     assert_eq!(small.default_backend(), Backend::Gpu);
     let frame = small.render(&field, &pages, &request, None).unwrap();
@@ -251,9 +230,10 @@ fn a_frame_that_cannot_be_drawn_falls_back_to_the_cpu_and_says_why() {
 }
 
 #[test]
-fn too_many_pages_for_the_atlas_are_refused() {
+fn a_pixel_that_needs_more_pages_than_there_are_slots_is_refused() {
     let Some(mut twins) = Twins::new(WORLD.build(), BUDGET) else { return };
-    twins.kernel.set_atlas_budget(20 * 32 * 32 * 8);
+    // The average of four sample points takes four pages, at least.
+    twins.kernel.set_slots(3);
     let camera = WORLD.camera(Vec3::new(1.2, 0.9, 2.4), Vec3::ZERO, WIDTH, HEIGHT);
     let outcome = twins.on_gpu(&camera, settings(Component::Mirror, Blend::Average));
     assert!(matches!(outcome, Err(RenderError::Gpu(GpuError::TooManyPages { needed, capacity })) if needed > capacity), "{outcome:?}");
@@ -271,7 +251,7 @@ fn no_camera_makes_a_nan_leave_the_gpu() {
     for (number, camera) in odd_cameras(&WORLD).into_iter().enumerate() {
         for blend in BLENDS {
             let any = AnySettings::OffsetSurfaceLightField(settings(Component::Full, blend));
-            let request = FrameRequest { camera: &camera, settings: &any, outputs: EVERYTHING };
+            let request = FrameRequest { camera: &camera, settings: &any, outputs: EVERYTHING, refine: Refine::Whole };
             let frame = renderer.render(&field, &pages, &request, None).unwrap();
             // The last two have focal lengths that no rasteriser stands; the CPU takes them.
             let expected = if number < 6 { Backend::Gpu } else { Backend::Cpu };
@@ -307,6 +287,17 @@ fn the_uniform_lies_in_memory_as_wgsl_has_it() {
     assert_same_layout!(
         super::super::KERNEL_SOURCE,
         "Shading",
-        ShadingUniform { specular_reflectance, exponent, face_size, map_size, baseline_cube, stamp }
+        ShadingUniform {
+            specular_reflectance,
+            exponent,
+            face_size,
+            map_size,
+            baseline_cube,
+            stamp,
+            coarse_size,
+            first_pixel,
+            end_pixel,
+            padding
+        }
     );
 }

@@ -1,0 +1,372 @@
+//! The passes of a frame, and bringing the pages it needs.
+//!
+//! A frame is drawn in bands of rows, so that memory on the device does not grow with it. For each band the object is shaded; the
+//! kernel leaves word of every page it wanted, so that what is missing is known before anything is shown. In the steady state that
+//! pass is the frame. Otherwise missing pages are uploaded, as far as the request's allowance goes, and the pixels shaded again: exactly,
+//! or with the coarse level standing in for pages that are still missing; such a frame is not final. Where a band wants more pages
+//! than there are slots, its pixels are shaded in ranges that do not.
+
+use std::ops::Range;
+use std::sync::Arc;
+use std::time::Instant;
+
+use bytemuck::Pod;
+use rayon::prelude::*;
+
+use super::super::{Blend, Settings, check_page};
+use super::{Kernel, MAX_BAND_PIXELS, MAX_GLANCE_PIXELS, ShadingUniform};
+use crate::geometry::{Camera, Intrinsics};
+use crate::gpu::{Gpu, GpuError, conform};
+use crate::representations::page_source::CountingSource;
+use crate::representations::{FrameRequest, GpuFrameStats, Pixels, Provenance, Refine, RenderError, Settings as AnySettings};
+use crate::textures::{Page, PageId};
+
+// At most this many decoded pages wait for their upload.
+const PAGES_IN_FLIGHT: usize = 256;
+// A look ahead is so much coarser than the frame, along each axis.
+const GLANCE_SCALE: u32 = 4;
+const FRAME_BAND: usize = 0;
+const GLANCE_BAND: usize = 1;
+
+/// A frame of which some bands are done.
+struct FrameInProgress<'a, 'p> {
+    request: &'a FrameRequest<'a>,
+    settings: &'a Settings,
+    pages: &'a CountingSource<'p>,
+    wanted: Vec<bool>,
+    wanted_count: usize,
+    // What may still be uploaded; None: whatever it takes.
+    allowance_bytes: Option<u64>,
+    is_final: bool,
+    color: Vec<f32>,
+    depth: Option<Vec<f32>>,
+    provenance: Option<Vec<Provenance>>,
+    stats: GpuFrameStats,
+}
+
+/// Some of a band's pixels, in rows from its top.
+struct Part {
+    pixels: Range<u32>,
+    was_brought: bool,
+}
+
+#[derive(Clone, Copy, PartialEq)]
+enum Fidelity {
+    /// Right where every page is there, meaningless elsewhere.
+    Exact,
+    /// The coarse level stands in for missing pages.
+    StandIn,
+}
+
+impl Kernel {
+    pub(super) fn draw(&mut self, request: &FrameRequest<'_>, pages: &CountingSource<'_>) -> Result<(Pixels, GpuFrameStats), RenderError> {
+        let AnySettings::OffsetSurfaceLightField(settings) = request.settings;
+        let (width, height) = (request.camera.intrinsics().width_px, request.camera.intrinsics().height_px);
+        let limit = self.gpu.device().limits().max_texture_dimension_2d.min(MAX_BAND_PIXELS);
+        if width > limit {
+            let what = "width of the frame in pixels";
+            return Err(GpuError::BeyondLimit { what, needed: u64::from(width), limit: u64::from(limit) }.into());
+        }
+        self.ensure_atlas(pages)?;
+        let atlas = &mut self.atlas.as_mut().expect("made above").atlas;
+        atlas.begin_frame();
+        // Where one frame's pages do not fit together, refining would bring and lose them in turn for ever.
+        let fits = self.last_wanted.iter().filter(|w| **w).count() <= atlas.capacity();
+        let allowance_bytes = match request.refine {
+            Refine::UpTo { upload_bytes } if fits && self.coarse.exists() => Some(upload_bytes),
+            Refine::Whole | Refine::UpTo { .. } => None,
+        };
+        let pixels = width as usize * height as usize;
+        let mut frame = FrameInProgress {
+            request,
+            settings,
+            pages,
+            wanted: vec![false; self.field.face_count()],
+            wanted_count: 0,
+            allowance_bytes,
+            is_final: true,
+            color: Vec::with_capacity(3 * pixels),
+            depth: request.outputs.depth.then(|| Vec::with_capacity(pixels)),
+            provenance: request.outputs.provenance.then(|| Vec::with_capacity(pixels)),
+            stats: GpuFrameStats::default(),
+        };
+        let band_rows = (MAX_BAND_PIXELS / width).min(limit).min(height);
+        for first_row in (0..height).step_by(band_rows as usize) {
+            self.draw_band(&mut frame, first_row, band_rows.min(height - first_row))?;
+        }
+        let FrameInProgress { color, depth, provenance, wanted, wanted_count, is_final, stats, .. } = frame;
+        self.last_wanted = wanted;
+        Ok((Pixels { color, depth, provenance, pages_needed: wanted_count, is_final }, stats))
+    }
+
+    /// Uploads pages that a frame like `request` would miss, at most `upload_bytes`; how many. Draws it small, so it may overlook some.
+    pub(super) fn look_ahead(
+        &mut self,
+        request: &FrameRequest<'_>,
+        pages: &CountingSource<'_>,
+        upload_bytes: u64,
+    ) -> Result<usize, RenderError> {
+        let AnySettings::OffsetSurfaceLightField(settings) = request.settings;
+        self.ensure_atlas(pages)?;
+        let glance = glance(request.camera);
+        let (width, rows) = (glance.intrinsics().width_px, glance.intrinsics().height_px);
+        if width.saturating_mul(rows) > MAX_GLANCE_PIXELS {
+            return Ok(0);
+        }
+        self.ensure_band(GLANCE_BAND, width, rows)?;
+        let gpu = self.gpu.clone();
+        let mut encoder = new_encoder(&gpu);
+        self.rasterizer.draw(&gpu, &mut encoder, &glance, 0, &self.bands[GLANCE_BAND].as_ref().expect("made above").band)?;
+        self.record_shading(&mut encoder, GLANCE_BAND, settings, 0..width * rows, Fidelity::Exact);
+        gpu.queue().submit([encoder.finish()]);
+        let wanted = self.wanted_pages(&gpu)?;
+        let bound = self.atlas.as_ref().expect("made above");
+        let affordable = (upload_bytes / bound.shape.page_bytes()) as usize;
+        // Neither what the last frame showed nor what this one will is given up.
+        let mut keep = self.last_wanted.clone();
+        wanted.iter().for_each(|page| keep[*page as usize] = true);
+        let room = bound.atlas.capacity().saturating_sub(keep.iter().filter(|k| **k).count());
+        let missing: Vec<u32> = wanted.into_iter().filter(|p| !bound.atlas.is_resident(*p)).collect();
+        let ahead = &missing[..missing.len().min(affordable).min(room.max(bound.atlas.free_slots()))];
+        self.bring(&gpu, pages, ahead, &|page| keep[page as usize])?;
+        self.atlas.as_mut().expect("made above").atlas.count_prefetched(ahead.len());
+        Ok(ahead.len())
+    }
+
+    fn draw_band(&mut self, frame: &mut FrameInProgress<'_, '_>, first_row: u32, rows: u32) -> Result<(), RenderError> {
+        let begin = Instant::now();
+        let pages_millis_before = frame.stats.pages_millis;
+        let camera = frame.request.camera;
+        self.ensure_band(FRAME_BAND, camera.intrinsics().width_px, rows)?;
+        let gpu = self.gpu.clone();
+        let mut encoder = new_encoder(&gpu);
+        let band = &self.bands[FRAME_BAND].as_ref().expect("made above").band;
+        let pixels = band.pixels();
+        self.rasterizer.draw(&gpu, &mut encoder, camera, first_row, band)?;
+        let mut parts = vec![Part { pixels: 0..pixels, was_brought: false }];
+        let mut passes = 0;
+        while let Some(part) = parts.pop() {
+            let recorded = std::mem::replace(&mut encoder, new_encoder(&gpu));
+            self.shade(&gpu, recorded, frame, part.pixels.clone(), Fidelity::Exact);
+            passes += 1;
+            let wanted = self.wanted_pages(&gpu)?;
+            if passes == 1 {
+                self.count_wanted(frame, &wanted);
+            }
+            let atlas = &self.atlas.as_ref().expect("made before").atlas;
+            let (capacity, missing) = (atlas.capacity(), wanted.iter().copied().filter(|p| !atlas.is_resident(*p)).collect::<Vec<_>>());
+            if missing.is_empty() {
+                continue;
+            }
+            if part.was_brought {
+                return Err(GpuError::Failed { reason: "pages stay missing after they were uploaded".into() }.into());
+            }
+            if wanted.len() > capacity {
+                parts.extend(halves(&part.pixels).ok_or(GpuError::TooManyPages { needed: wanted.len(), capacity })?);
+                frame.allowance_bytes = None;
+                continue;
+            }
+            let brought = self.bring_allowed(&gpu, frame, &wanted, &missing)?;
+            if brought == missing.len() {
+                parts.push(Part { was_brought: true, ..part });
+                continue;
+            }
+            self.ensure_coarse(frame.pages)?;
+            self.shade(&gpu, new_encoder(&gpu), frame, part.pixels, Fidelity::StandIn);
+            passes += 1;
+            frame.is_final = false;
+        }
+        gpu.wait()?;
+        frame.stats.passes = frame.stats.passes.max(passes);
+        frame.stats.gpu_millis += millis_since(begin) - (frame.stats.pages_millis - pages_millis_before);
+        self.read_band(frame)
+    }
+
+    fn count_wanted(&mut self, frame: &mut FrameInProgress<'_, '_>, wanted: &[u32]) {
+        let atlas = &mut self.atlas.as_mut().expect("made before").atlas;
+        for page in wanted {
+            atlas.look_up(*page);
+            frame.wanted_count += usize::from(!std::mem::replace(&mut frame.wanted[*page as usize], true));
+        }
+    }
+
+    // Submits what is recorded, shading after it, and the copies that results leave by.
+    fn shade(
+        &mut self,
+        gpu: &Gpu,
+        mut encoder: wgpu::CommandEncoder,
+        frame: &FrameInProgress<'_, '_>,
+        pixels: Range<u32>,
+        fidelity: Fidelity,
+    ) {
+        self.record_shading(&mut encoder, FRAME_BAND, frame.settings, pixels, fidelity);
+        let bound = self.bands[FRAME_BAND].as_ref().expect("made before");
+        for range in wanted_ranges(bound.band.pixels(), frame.request) {
+            encoder.copy_buffer_to_buffer(bound.band.output(), range.start, bound.read_back.buffer(), range.start, range.end - range.start);
+        }
+        gpu.queue().submit([encoder.finish()]);
+    }
+
+    fn record_shading(
+        &mut self,
+        encoder: &mut wgpu::CommandEncoder,
+        band: usize,
+        settings: &Settings,
+        pixels: Range<u32>,
+        fidelity: Fidelity,
+    ) {
+        let key = self.pipeline(settings, fidelity == Fidelity::StandIn);
+        self.stamp = self.stamp.wrapping_add(1).max(1);
+        let uniform = ShadingUniform {
+            specular_reflectance: settings.specular_reflectance.into(),
+            exponent: exponent(settings.blend),
+            face_size: self.field.parameters.face_size_texels,
+            map_size: self.field.sample_maps.size as u32,
+            baseline_cube: self.field.sample_points.len() as u32,
+            stamp: self.stamp,
+            coarse_size: self.coarse.size,
+            first_pixel: pixels.start,
+            end_pixel: pixels.end,
+            padding: 0,
+        };
+        self.gpu.queue().write_buffer(&self.shading, 0, bytemuck::bytes_of(&uniform));
+        let (band, atlas) = (self.bands[band].as_ref().expect("made before"), self.atlas.as_ref().expect("made before"));
+        let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+        pass.set_bind_group(0, &band.resources, &[]);
+        pass.set_bind_group(1, &atlas.resources, &[]);
+        pass.set_bind_group(2, &atlas.views, &[]);
+        pass.set_pipeline(&self.pipelines[&key]);
+        band.band.dispatch_over_object(&mut pass);
+        drop(pass);
+        let pages = self.touched_read_back.buffer();
+        encoder.copy_buffer_to_buffer(&self.touched, 0, pages, 0, self.touched.size());
+    }
+
+    // Waits for the pass; which pages it wanted.
+    fn wanted_pages(&self, gpu: &Gpu) -> Result<Vec<u32>, GpuError> {
+        let stamp = self.stamp;
+        self.touched_read_back.request(0..self.touched_read_back.bytes()).finish(gpu, |bytes| {
+            let stamps = bytes.chunks_exact(4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]));
+            stamps.enumerate().filter(|(_, s)| *s == stamp).map(|(page, _)| page as u32).collect()
+        })
+    }
+
+    // As many of the missing pages as the frame may still upload; all of them where it is to be whole.
+    fn bring_allowed(
+        &mut self,
+        gpu: &Gpu,
+        frame: &mut FrameInProgress<'_, '_>,
+        wanted: &[u32],
+        missing: &[u32],
+    ) -> Result<usize, RenderError> {
+        let begin = Instant::now();
+        let bound = self.atlas.as_ref().expect("made before");
+        let page_bytes = bound.shape.page_bytes();
+        let affordable = match &mut frame.allowance_bytes {
+            None => missing.len(),
+            Some(left) => {
+                // Whatever is allowed at all is enough for a page, so that refining ends.
+                let count = missing.len().min(left.div_ceil(page_bytes) as usize);
+                *left = left.saturating_sub(count as u64 * page_bytes);
+                count
+            }
+        };
+        // What earlier bands wanted stays, too, while there is room for all: the next frame wants it again.
+        let keep_all = frame.wanted_count <= bound.atlas.capacity();
+        let mut keep = if keep_all { frame.wanted.clone() } else { vec![false; frame.wanted.len()] };
+        wanted.iter().for_each(|page| keep[*page as usize] = true);
+        self.bring(gpu, frame.pages, &missing[..affordable], &|page| keep[page as usize])?;
+        frame.stats.pages_uploaded += affordable;
+        frame.stats.pages_millis += millis_since(begin);
+        Ok(affordable)
+    }
+
+    // Fetches and uploads.
+    fn bring(&mut self, gpu: &Gpu, pages: &CountingSource<'_>, missing: &[u32], keep: &dyn Fn(u32) -> bool) -> Result<(), RenderError> {
+        let face_size = self.field.parameters.face_size_texels;
+        let bound = self.atlas.as_mut().expect("made before");
+        let shape = bound.shape;
+        let fetch = |page: &u32| {
+            let fetched = pages.page(PageId(*page))?;
+            check_page(*page, &fetched, face_size)?;
+            Ok((*page, conform(fetched, shape)?))
+        };
+        // In batches, so that pages in flight do not fill memory: the source's cache may be small.
+        for batch in missing.chunks(PAGES_IN_FLIGHT) {
+            let fetched: Vec<(u32, Arc<Page>)> = batch.par_iter().map(fetch).collect::<Result<_, RenderError>>()?;
+            bound.atlas.upload(gpu, &fetched, keep)?;
+        }
+        Ok(())
+    }
+
+    fn read_band(&mut self, frame: &mut FrameInProgress<'_, '_>) -> Result<(), RenderError> {
+        let begin = Instant::now();
+        let bound = self.bands[FRAME_BAND].as_ref().expect("made before");
+        let pixels = bound.band.pixels() as usize;
+        let last = wanted_ranges(bound.band.pixels(), frame.request).last().map_or(0, |r| r.end);
+        let (color, depth, provenance) = (&mut frame.color, &mut frame.depth, &mut frame.provenance);
+        bound.read_back.request(0..last.next_multiple_of(wgpu::MAP_ALIGNMENT).min(bound.read_back.bytes())).finish(&self.gpu, |bytes| {
+            // Mapped memory is aligned to 8 bytes; pod_collect does not depend on it.
+            extend_from_bytes(color, &bytes[..12 * pixels]);
+            if let Some(depth) = depth {
+                extend_from_bytes(depth, &bytes[12 * pixels..16 * pixels]);
+            }
+            if let Some(provenance) = provenance {
+                extend_from_bytes(provenance, &bytes[16 * pixels..20 * pixels]);
+            }
+        })?;
+        frame.stats.read_back_millis += millis_since(begin);
+        Ok(())
+    }
+}
+
+// Two parts of fewer pixels; None where there is only one.
+fn halves(pixels: &Range<u32>) -> Option<[Part; 2]> {
+    let middle = pixels.start + pixels.len() as u32 / 2;
+    let part = |pixels| Part { pixels, was_brought: false };
+    (middle > pixels.start).then(|| [part(middle..pixels.end), part(pixels.start..middle)])
+}
+
+// The same view with fewer pixels.
+fn glance(camera: &Camera) -> Camera {
+    let Intrinsics { width_px, height_px, focal_px, center_px } = *camera.intrinsics();
+    let (width, height) = (width_px.div_ceil(GLANCE_SCALE), height_px.div_ceil(GLANCE_SCALE));
+    let scale = glam::Vec2::new(width as f32 / width_px as f32, height as f32 / height_px as f32);
+    let small = Intrinsics { width_px: width, height_px: height, focal_px: focal_px * scale, center_px: center_px * scale };
+    // Scaling finite, positive numbers down leaves them so, but for those next to zero.
+    Camera::new(small, *camera.pose()).unwrap_or(*camera)
+}
+
+// Colour, and what else was asked for, as byte ranges of the output; neighbours are merged.
+fn wanted_ranges(pixels: u32, request: &FrameRequest<'_>) -> impl Iterator<Item = Range<u64>> {
+    let n = 4 * u64::from(pixels);
+    let (first, second) = match (request.outputs.depth, request.outputs.provenance) {
+        (false, false) => (0..3 * n, 0..0),
+        (true, false) => (0..4 * n, 0..0),
+        (true, true) => (0..5 * n, 0..0),
+        (false, true) => (0..3 * n, 4 * n..5 * n),
+    };
+    [first, second].into_iter().filter(|r| !r.is_empty())
+}
+
+fn extend_from_bytes<T: Pod>(out: &mut Vec<T>, bytes: &[u8]) {
+    match bytemuck::try_cast_slice(bytes) {
+        Ok(values) => out.extend_from_slice(values),
+        Err(_) => out.extend(bytes.chunks_exact(size_of::<T>()).map(bytemuck::pod_read_unaligned::<T>)),
+    }
+}
+
+fn exponent(blend: Blend) -> f32 {
+    match blend {
+        Blend::Reflection { exponent } | Blend::Normal { exponent } => exponent,
+        Blend::Distance | Blend::Angle | Blend::Average | Blend::EnvironmentMap => 0.0,
+    }
+}
+
+fn new_encoder(gpu: &Gpu) -> wgpu::CommandEncoder {
+    gpu.device().create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("frame") })
+}
+
+fn millis_since(begin: Instant) -> f64 {
+    1e3 * begin.elapsed().as_secs_f64()
+}

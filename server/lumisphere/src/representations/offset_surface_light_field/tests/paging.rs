@@ -1,0 +1,238 @@
+//! Pages on the device: too many for it, brought a few at a time, ahead of need, under changing budgets and policies.
+
+use std::sync::Arc;
+
+use glam::Vec3;
+
+use super::super::coarse::{read_cube_map, unpacked};
+use super::super::kernel::Kernel;
+use super::super::reference::Reference;
+use super::super::shade::ReadCube;
+use super::fixture::{COARSE_SIZE, MemoryPages, WORLD, World};
+use super::{EVERYTHING, mirror};
+use crate::directions::{FACES, bilinear_footprint};
+use crate::geometry::Camera;
+use crate::gpu::test_gpu;
+use crate::images::{Tolerance, count_beyond};
+use crate::render::{Backend, Renderer};
+use crate::representations::offset_surface_light_field::{Blend, OffsetSurfaceLightField};
+use crate::representations::{
+    CachedPages, CountingSource, FrameRequest, GpuFrameStats, GpuKernel, PageSource, Pixels, Refine, RenderError, Representation,
+    Settings as AnySettings,
+};
+use crate::textures::{Cache, CacheOptions, PageId, PolicyKind, Publication, Store, StoreOptions};
+
+const BUDGET: u64 = 256 << 20;
+const PAGE_BYTES: u64 = 32 * 32 * 8;
+// 1206 faces: 9.9 MB.
+const LARGE: World = World { points: 200, ..WORLD };
+
+struct Scene {
+    kernel: Kernel,
+    field: Arc<OffsetSurfaceLightField>,
+    pages: Box<dyn PageSource>,
+}
+
+impl Scene {
+    fn new(field: OffsetSurfaceLightField, pages: Box<dyn PageSource>) -> Option<Self> {
+        let field = Arc::new(field);
+        Some(Self { kernel: Kernel::new(test_gpu()?, field.clone(), BUDGET).unwrap(), field, pages })
+    }
+
+    fn in_memory(world: &World) -> Option<Self> {
+        let (field, pages) = world.build();
+        Self::new(field, Box::new(pages))
+    }
+
+    fn draw(&mut self, camera: &Camera, refine: Refine) -> Result<(Pixels, GpuFrameStats), RenderError> {
+        let settings = AnySettings::OffsetSurfaceLightField(mirror(Blend::Distance));
+        let request = FrameRequest { camera, settings: &settings, outputs: EVERYTHING, refine };
+        let drawn = self.kernel.render(&request, &CountingSource::new(self.pages.as_ref()))?;
+        let stats = self.kernel.stats();
+        assert_eq!(stats.look_ups, stats.hits + stats.misses);
+        assert!(stats.resident_bytes <= stats.device_bytes && stats.device_bytes <= self.kernel.budget(), "{stats:?}");
+        Ok(drawn)
+    }
+
+    fn look_ahead(&mut self, camera: &Camera, upload_bytes: u64) -> usize {
+        let settings = AnySettings::OffsetSurfaceLightField(mirror(Blend::Distance));
+        let request = FrameRequest { camera, settings: &settings, outputs: EVERYTHING, refine: Refine::Whole };
+        self.kernel.prefetch(&request, &CountingSource::new(self.pages.as_ref()), upload_bytes).unwrap()
+    }
+}
+
+fn orbit(world: &World, steps: usize) -> Vec<Camera> {
+    let angle = |k: usize| std::f32::consts::TAU * k as f32 / steps as f32;
+    let at = |k: usize| Vec3::new(3.0 * angle(k).cos(), 0.6, 3.0 * angle(k).sin());
+    (0..steps).map(|k| world.camera(at(k), Vec3::ZERO, 80, 60)).collect()
+}
+
+#[test]
+fn a_dataset_ten_times_the_slots_and_five_times_the_memory_looks_as_with_everything_resident() {
+    let (field, pages) = LARGE.build();
+    let (faces, cameras) = (field.face_count() as u64, orbit(&LARGE, 6));
+    let root = tempfile::tempdir().unwrap();
+    let version = stored(root.path(), &pages);
+    let Some(mut everything) = Scene::new(field.clone(), Box::new(pages)) else { return };
+    let expected: Vec<Pixels> = cameras.iter().map(|c| everything.draw(c, Refine::Whole).unwrap().0).collect();
+    for policy in PolicyKind::ALL {
+        let cache = Arc::new(Cache::new(CacheOptions::decoded(faces * PAGE_BYTES / 5)));
+        let pages = CachedPages { cache: cache.clone(), version: version.clone() };
+        let mut paged = Scene::new(field.clone(), Box::new(pages)).unwrap();
+        paged.kernel.set_slots(faces / 10);
+        paged.kernel.set_policy(policy);
+        for (camera, expected) in cameras.iter().zip(&expected) {
+            assert_eq!(&paged.draw(camera, Refine::Whole).unwrap().0, expected, "{policy}");
+        }
+        let stats = paged.kernel.stats();
+        assert!(stats.evictions > faces / 10 && stats.resident_pages <= faces / 10, "{policy}: {stats:?}");
+    }
+}
+
+fn stored(root: &std::path::Path, pages: &MemoryPages) -> Arc<crate::textures::DatasetVersion> {
+    let (store, _) = Store::open(root, StoreOptions::local()).unwrap();
+    store.create_dataset("sphere").unwrap();
+    let staging = store.stage("sphere", "test").unwrap();
+    for (number, page) in pages.0.iter().enumerate() {
+        staging.append_page(PageId(number as u32), &page.shape(), &page.to_f32()).unwrap();
+    }
+    let publication = Publication {
+        kind: "offset_surface_light_field".into(),
+        parameters: serde_json::Value::Null,
+        inputs: Default::default(),
+        code_version: "test".into(),
+        created_unix_millis: 0,
+    };
+    staging.publish(publication).unwrap()
+}
+
+#[test]
+fn frames_under_a_cap_are_coarse_at_first_and_end_as_the_whole_frame() {
+    let Some(mut scene) = Scene::in_memory(&WORLD) else { return };
+    let camera = &orbit(&WORLD, 8)[0];
+    let (whole, _) = Scene::in_memory(&WORLD).unwrap().draw(camera, Refine::Whole).unwrap();
+    let cap = Refine::UpTo { upload_bytes: 10 * PAGE_BYTES };
+    let mut last_error = f32::INFINITY;
+    for frame in 1.. {
+        let (pixels, stats) = scene.draw(camera, cap).unwrap();
+        assert!(stats.pages_uploaded <= 10 && (pixels.is_final || stats.pages_uploaded == 10), "{stats:?}");
+        let error: f32 = pixels.color.iter().zip(&whole.color).map(|(a, b)| (a - b).abs()).sum();
+        assert!(error < last_error, "frame {frame}: {error} after {last_error}");
+        last_error = error;
+        if pixels.is_final {
+            assert_eq!(pixels, whole);
+            assert_eq!(frame, whole.pages_needed.div_ceil(10));
+            break;
+        }
+    }
+    assert!(scene.draw(camera, cap).unwrap().0.is_final);
+}
+
+/// The coarse level as the kernel has it.
+struct CoarseCubes(Vec<Vec<u32>>);
+
+impl ReadCube for CoarseCubes {
+    fn read_cube(&mut self, cube: u32, direction: Vec3) -> Result<Vec3, RenderError> {
+        let n = COARSE_SIZE as usize;
+        let mut radiance = Vec3::ZERO;
+        for (texel, weight) in bilinear_footprint(direction, n) {
+            radiance += weight * unpacked(self.0[cube as usize][(texel.face * n + texel.row) * n + texel.column]);
+        }
+        Ok(radiance)
+    }
+}
+
+#[test]
+fn a_frame_without_any_page_agrees_with_the_coarse_level_on_the_cpu() {
+    let Some(mut scene) = Scene::in_memory(&WORLD) else { return };
+    let camera = &orbit(&WORLD, 8)[3];
+    let (pixels, stats) = scene.draw(camera, Refine::UpTo { upload_bytes: 0 }).unwrap();
+    assert!(!pixels.is_final && stats.pages_uploaded == 0 && stats.passes == 2);
+    let g_buffer = scene.kernel.read_g_buffer();
+    let source = CountingSource::new(scene.pages.as_ref());
+    let cubes = (0..scene.field.cube_count()).map(|c| read_cube_map(&scene.field, c, COARSE_SIZE as usize, &source).unwrap());
+    let (mut cubes, reference) = (CoarseCubes(cubes.collect()), Reference::new(scene.field.clone()));
+    assert_eq!(cubes.0[0].len(), FACES * (COARSE_SIZE * COARSE_SIZE) as usize);
+    let shade = |cubes: &mut CoarseCubes, at: usize| {
+        let position = (at as u32 % 80, at as u32 / 80);
+        reference.shade(&mirror(Blend::Distance), camera, position, &g_buffer[at], cubes).unwrap().radiance.to_array()
+    };
+    let expected: Vec<f32> = (0..g_buffer.len()).flat_map(|at| shade(&mut cubes, at)).collect();
+    let report = count_beyond(&expected, &pixels.color, &Tolerance::F32_LOOKUP).unwrap();
+    assert_eq!(report.beyond, 0, "{report:?}");
+}
+
+#[test]
+fn frames_that_cannot_be_refined_are_drawn_whole() {
+    let camera = &orbit(&WORLD, 8)[0];
+    let cap = Refine::UpTo { upload_bytes: PAGE_BYTES };
+    // Fewer slots than the frame wants.
+    let Some(mut scene) = Scene::in_memory(&WORLD) else { return };
+    let (whole, _) = scene.draw(camera, Refine::Whole).unwrap();
+    scene.kernel.set_slots(whole.pages_needed as u64 / 2);
+    for _ in 0..3 {
+        assert_eq!(scene.draw(camera, cap).unwrap().0, whole);
+    }
+    // No coarse level: a dataset from before there was one.
+    let (mut field, mut pages) = WORLD.build();
+    pages.0.truncate(field.face_count());
+    field.parameters.coarse_face_size_texels = 0;
+    assert_eq!(field.page_count(), pages.0.len());
+    let mut scene = Scene::new(field, Box::new(pages)).unwrap();
+    assert_eq!(scene.draw(camera, cap).unwrap().0, whole);
+}
+
+#[test]
+fn pages_brought_ahead_are_there_when_the_frame_comes_and_displace_nothing_that_is_shown() {
+    // Large enough that a look with a sixteenth of its pixels sees nearly every page.
+    let at = |k: f32| WORLD.camera(3.0 * Vec3::new((0.3 * k).cos(), 0.2, (0.3 * k).sin()), Vec3::ZERO, 480, 360);
+    let cameras = [at(0.0), at(1.0), at(2.0)];
+    let Some(mut scene) = Scene::in_memory(&WORLD) else { return };
+    scene.draw(&cameras[0], Refine::Whole).unwrap();
+    let before = scene.kernel.stats();
+    let ahead = scene.look_ahead(&cameras[1], 1000 * PAGE_BYTES) as u64;
+    let after = scene.kernel.stats();
+    assert!(ahead > 0);
+    assert_eq!((after.prefetched, after.uploads, after.look_ups), (ahead, before.uploads + ahead, before.look_ups));
+    assert_eq!(scene.draw(&cameras[0], Refine::Whole).unwrap().1.pages_uploaded, 0);
+    let left = scene.draw(&cameras[1], Refine::Whole).unwrap().1.pages_uploaded as u64;
+    assert!(left < ahead / 2, "{left} missed after {ahead} were brought");
+    assert_eq!(scene.look_ahead(&cameras[2], 3 * PAGE_BYTES), 3);
+}
+
+#[test]
+fn budget_and_policy_change_between_frames_and_the_picture_does_not() {
+    if test_gpu().is_none() {
+        return;
+    }
+    let (field, pages) = WORLD.build();
+    let field: Arc<dyn Representation> = Arc::new(field);
+    let renderer = Renderer::with_gpu(BUDGET).unwrap();
+    let settings = AnySettings::OffsetSurfaceLightField(mirror(Blend::Distance));
+    let camera = &orbit(&WORLD, 8)[0];
+    let draw = || {
+        let request = FrameRequest { camera, settings: &settings, outputs: EVERYTHING, refine: Refine::Whole };
+        renderer.render(&field, &pages, &request, None).unwrap()
+    };
+    let first = draw();
+    let full = renderer.gpu_stats().unwrap();
+    // Less and less, down to a few slots: the ring, a band and 486 pages of 8 KiB take 50 MB.
+    for (budget, policy) in
+        [(48 << 20, PolicyKind::S3Fifo), (46 << 20, PolicyKind::Arc), (45 << 20, PolicyKind::FrameLru), (BUDGET, PolicyKind::Clock)]
+    {
+        renderer.set_gpu_budget(budget);
+        renderer.set_gpu_policy(policy);
+        assert_eq!(renderer.gpu_policy(), Some(policy));
+        let frame = draw();
+        assert_eq!((frame.stats.backend, &frame.pixels), (Backend::Gpu, &first.pixels), "{budget}: {:?}", frame.stats.fallback);
+        let stats = renderer.gpu_stats().unwrap();
+        assert!(stats.peak_device_bytes <= budget && stats.budget_bytes == budget, "{stats:?}");
+        assert_eq!(stats.look_ups, stats.hits + stats.misses);
+    }
+    let stats = renderer.gpu_stats().unwrap();
+    assert!(stats.uploads > full.uploads && stats.evictions >= full.resident_pages, "{stats:?}");
+    // No room for a band and a page: the CPU draws.
+    renderer.set_gpu_budget(1 << 20);
+    assert!(renderer.gpu_bytes() <= 1 << 20);
+    assert_eq!(draw().stats.backend, Backend::Cpu);
+}
