@@ -9,6 +9,7 @@ use super::*;
 
 mod crash;
 mod damage;
+mod disks;
 mod laboratory;
 mod roundtrip;
 mod sharing;

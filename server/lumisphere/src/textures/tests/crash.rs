@@ -4,6 +4,9 @@ use std::fs::{self, File};
 use std::io;
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg32;
+
 use super::*;
 
 /// Does so many operations, then nothing any more, as for a killed process; the last write is torn.
@@ -72,12 +75,16 @@ fn on_disk(root: &Path, disk: Arc<dyn Disk>) -> Result<Store, StoreError> {
 
 /// A job as the service runs it: goes on with whatever is there, and finishes or fails.
 fn job(root: &Path, disk: Arc<dyn Disk>) -> Result<Arc<DatasetVersion>, StoreError> {
+    job_named("job-1", root, disk)
+}
+
+fn job_named(token: &str, root: &Path, disk: Arc<dyn Disk>) -> Result<Arc<DatasetVersion>, StoreError> {
     let store = on_disk(root, disk)?;
     match store.create_dataset("d") {
         Err(StoreError::AlreadyExists { .. }) | Ok(()) => {}
         Err(error) => return Err(error),
     }
-    let staging = match store.stage("d", "job-1") {
+    let staging = match store.stage("d", token) {
         Err(StoreError::AlreadyPublished { version, .. }) => return store.open_version("d", Some(version)),
         other => other?,
     };
@@ -135,6 +142,45 @@ fn a_job_killed_at_any_step_leaves_the_version_whole_or_absent_and_finishes_when
         }
     }
     assert!(absent > 30, "only {absent} steps before publication");
+}
+
+/// Two segments' worth of work, two versions, any moment: 200 random points, each followed by up to three more kills while resuming.
+#[test]
+fn two_hundred_kills_at_random_points_lose_nothing_that_was_acknowledged() {
+    let mut rng = Pcg32::seed_from_u64(11);
+    let (mut kills, mut resumed_twice) = (0, 0);
+    while kills < 200 {
+        let root = tempfile::tempdir().unwrap();
+        let mut acknowledged = 0;
+        for attempt in 0.. {
+            // Later attempts die later, so that the work ends.
+            let steps = rng.random_range(0..60u64) + 30 * attempt;
+            let disk = DyingDisk::after(steps);
+            let done = versions_up_to(2, root.path(), disk, &mut acknowledged);
+            kills += u64::from(done.is_err());
+            resumed_twice += u64::from(attempt == 2);
+            let (store, report) = open(root.path());
+            assert!(report.damaged.is_empty(), "after {steps} steps of attempt {attempt}: {report:?}");
+            let versions = store.versions("d").unwrap_or_default();
+            assert!(versions.len() as u64 >= acknowledged, "version {acknowledged} was acknowledged; there are {versions:?}");
+            for version in versions {
+                assert_whole(&store.open_version("d", Some(version)).unwrap(), 3);
+            }
+            if done.is_ok() {
+                break;
+            }
+        }
+    }
+    assert!(resumed_twice > 10, "only {resumed_twice} jobs were killed more than once");
+}
+
+/// Publishes versions until there are `count`; how many were acknowledged so far.
+fn versions_up_to(count: u64, root: &Path, disk: Arc<dyn Disk>, acknowledged: &mut u64) -> Result<(), StoreError> {
+    for version in 1..=count {
+        job_named(&format!("job-{version}"), root, disk.clone())?;
+        *acknowledged = (*acknowledged).max(version);
+    }
+    Ok(())
 }
 
 #[test]
