@@ -1,0 +1,234 @@
+//! The texture cache beside OpenImageIO, moka, foyer and quick_cache: time and bytes of misses and hits, misses of the policies, durable
+//! writes. Same texels, same requests, page cache warm, CPU time of one thread. Figures go to docs/measurements.md.
+//!
+//! ```text
+//! apt-get install libopenimageio-dev
+//! g++ -O3 -march=native docs/rivals/oiio_textures.cpp -lOpenImageIO -lOpenImageIO_Util -o target/oiio_textures
+//! python3 -m venv target/oiio && target/oiio/bin/pip install OpenImageIO==3.2.2.0 numpy
+//! cargo build --release --manifest-path docs/rivals/cache_policies/Cargo.toml --target-dir target/rivals
+//! LUMISPHERE_SHARED_DATA=… cargo bench -p lumisphere --no-default-features --bench texture_cache
+//! ```
+//! `OIIO_TEXTURES`, `OIIO_PYTHON` and `CACHE_POLICIES` name the rivals when they lie elsewhere. A missing one fails the benchmark. The
+//! texels are three photographed environments of the data pack, resampled to cube maps at random rotations.
+
+mod data;
+mod rivals;
+mod traces;
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::Instant;
+
+use lumisphere::textures::laboratory::{Order, Setting, simulate};
+use lumisphere::textures::{Cache, CacheOptions, Codec, DatasetVersion, PageId, PixelFormat, PolicyKind, ReadStrategy, encode, encode_as};
+
+use self::data::{FACE_BYTES, FACES, SIZE, cpu_seconds};
+use self::rivals::Values;
+
+/// Faces that the cache of the miss measurements holds: OpenImageIO 3.2 takes no less.
+const CACHE_FACES: u64 = 64;
+
+fn main() {
+    let folder = data::folder();
+    let faces = data::faces();
+    let versions = data::stored(&folder, &faces);
+    let (random, warm) = (traces::random(4000), traces::warm(400_000));
+    data::write_numbers(&folder.join("random.u32"), &random);
+    data::write_numbers(&folder.join("warm.u32"), &warm);
+    let oiio = rivals::oiio_textures(&folder);
+    let python = rivals::oiio_misses(&folder);
+
+    sizes(&faces, &oiio);
+    misses(&versions, &random, &oiio, &python);
+    hits(&versions["zstd-chunk f32"], &warm, &oiio);
+    strategies(&versions);
+    policies(&folder);
+    writes(&folder, &faces);
+}
+
+fn bound(what: &str, ratio: f64, most: f64) {
+    println!("  {what}: {ratio:.3}, bound {most}: {}", if ratio <= most { "met" } else { "MISSED" });
+}
+
+fn sizes(faces: &[f32], oiio: &Values) {
+    println!("\nbytes of {FACES} faces of {SIZE}², RGB");
+    let shape = data::shape(PixelFormat::F32);
+    let stored = |codec, pixel| -> f64 {
+        let shape = lumisphere::textures::PageShape { pixel, ..shape };
+        let page = |texels| encode_as(codec, &shape, texels).expect("a face").payload_bytes() as f64;
+        faces.chunks_exact(shape.values()).map(page).sum()
+    };
+    for (codec, pixel) in [
+        (Codec::ZstdChunk, PixelFormat::F32),
+        (Codec::ZstdSeq, PixelFormat::F32),
+        (Codec::LzwSeq, PixelFormat::F32),
+        (Codec::ZstdChunk, PixelFormat::F16),
+        (Codec::ZstdSeq, PixelFormat::F16),
+    ] {
+        println!("  {codec} {pixel:?}: {:.1} MB", 1e-6 * stored(codec, pixel));
+    }
+    for name in ["zip_f32_bytes", "none_f32_bytes", "zip_f16_bytes"] {
+        println!("  EXR {name}: {:.1} MB", 1e-6 * oiio[name]);
+    }
+    bound("lossless f32 / EXR ZIP f32", stored(Codec::ZstdChunk, PixelFormat::F32) / oiio["zip_f32_bytes"], 0.82);
+    bound("f16 / EXR ZIP f16", stored(Codec::ZstdChunk, PixelFormat::F16) / oiio["zip_f16_bytes"], 1.0);
+}
+
+/// CPU seconds and misses of the look-ups through a cache of 64 faces' bytes; the best of some runs.
+fn timed(version: &Arc<DatasetVersion>, strategy: ReadStrategy, look_ups: &[u32], runs: usize) -> (f64, u64, f64) {
+    let mut best = (f64::INFINITY, 0, 0.0);
+    for _ in 0..runs {
+        let cache = Cache::new(CacheOptions { strategy, ..CacheOptions::decoded(CACHE_FACES * FACE_BYTES) });
+        let started = cpu_seconds();
+        let sum = look_all_up(&cache, version, look_ups);
+        let seconds = cpu_seconds() - started;
+        if seconds < best.0 {
+            best = (seconds, cache.stats().texel_misses, sum);
+        }
+    }
+    best
+}
+
+/// Bilinear look-ups in the middle of four texels; the sum of the first channel.
+fn look_all_up(cache: &Cache, version: &Arc<DatasetVersion>, look_ups: &[u32]) -> f64 {
+    let mut reader = cache.reader(version);
+    let look_up = |at: &[u32; 3]| f64::from(reader.bilinear(PageId(at[0]), (at[1], at[2]), (0.5, 0.5)).expect("intact data")[0]);
+    look_ups.as_chunks::<3>().0.iter().map(look_up).sum()
+}
+
+fn misses(versions: &BTreeMap<String, Arc<DatasetVersion>>, random: &[u32], oiio: &Values, python: &Values) {
+    println!("\n{} random look-ups, cache of {CACHE_FACES} faces; CPU µs a miss (misses)", random.len() / 3);
+    let mut seconds = BTreeMap::new();
+    for (name, version) in versions {
+        for strategy in ReadStrategy::ALL {
+            // LZW takes a millisecond a miss.
+            let runs = if name.starts_with("lzw") { 1 } else { 3 };
+            let (s, misses, sum) = timed(version, strategy, random, runs);
+            println!("  {name} {strategy}: {:.1} ({misses})", 1e6 * s / misses as f64);
+            // The rival has seen the same texels.
+            if name.ends_with("f32") {
+                let (a, b) = (sum, oiio["zip_f32_sum"]);
+                assert!((a - b).abs() <= 1e-3 * b.abs(), "the sum is {a}, OpenImageIO's {b}");
+            }
+            seconds.insert(format!("{name} {strategy}"), s);
+        }
+    }
+    for (version, values) in [("2.4 (C++)", oiio), ("3.2 (Python, its own time taken off)", python)] {
+        for layout in ["zip_f32", "none_f32", "zip_f32_32"] {
+            let (s, misses) = (values[&format!("{layout}_seconds")], values[&format!("{layout}_misses")]);
+            println!("  OpenImageIO {version} {layout}: {:.1} ({misses})", 1e6 * s / misses);
+        }
+        let full = seconds["zstd-chunk f32 full_image"];
+        bound(&format!("face misses, ours / {version} EXR ZIP"), full / values["zip_f32_seconds"], 0.125);
+        bound(&format!("face misses, ours / {version} EXR uncompressed"), full / values["none_f32_seconds"], 0.8);
+        let block = seconds["zstd-chunk f32 block"];
+        bound(&format!("block misses, ours / {version} 32² ZIP"), block / values["zip_f32_32_seconds"], 0.2);
+    }
+}
+
+fn hits(version: &Arc<DatasetVersion>, warm: &[u32], oiio: &Values) {
+    let cache = Cache::new(CacheOptions::decoded(4 << 30));
+    let count = (warm.len() / 3) as f64;
+    println!("\n{count} bilinear RGB look-ups, all resident; CPU ns each");
+    let mut ours = f64::INFINITY;
+    for strategy in [ReadStrategy::FullImage, ReadStrategy::Block] {
+        cache.clear();
+        cache.set_strategy(None, strategy);
+        look_all_up(&cache, version, warm);
+        let mut best = f64::INFINITY;
+        for _ in 0..5 {
+            let started = cpu_seconds();
+            let sum = look_all_up(&cache, version, warm);
+            best = best.min(cpu_seconds() - started);
+            assert!((sum - oiio["hit_sum"]).abs() <= 1e-3 * sum.abs(), "the sum is {sum}, OpenImageIO's {}", oiio["hit_sum"]);
+        }
+        println!("  {strategy}: {:.1}", 1e9 * best / count);
+        ours = ours.min(best);
+    }
+    println!("  OpenImageIO 2.4 texture(): {:.1}", oiio["hit_nanoseconds"]);
+    bound("hit, ours / texture()", 1e9 * ours / count / oiio["hit_nanoseconds"], 0.2);
+    // Against the same arithmetic on pages that are simply held: what finding and counting cost.
+    let pages: Vec<_> = (0..FACES).map(|p| cache.page(version, PageId(p)).expect("resident")).collect();
+    let mut direct = f64::INFINITY;
+    for _ in 0..5 {
+        let started = cpu_seconds();
+        let look_up = |at: &[u32; 3]| {
+            let [a, b, c, d] = pages[at[0] as usize].footprint(at[1], at[2]);
+            let mix = |k: usize| {
+                let (upper, lower) = (a[k] + 0.5 * (b[k] - a[k]), c[k] + 0.5 * (d[k] - c[k]));
+                upper + 0.5 * (lower - upper)
+            };
+            std::hint::black_box([mix(1), mix(2)]);
+            f64::from(mix(0))
+        };
+        std::hint::black_box(warm.as_chunks::<3>().0.iter().map(look_up).sum::<f64>());
+        direct = direct.min(cpu_seconds() - started);
+    }
+    println!("  the same texels from pages held in an array: {:.1}", 1e9 * direct / count);
+}
+
+/// What strategy and codec cost on a coherent trace that does not fit.
+fn strategies(versions: &BTreeMap<String, Arc<DatasetVersion>>) {
+    let glossy = traces::glossy_look_ups();
+    println!("\n{} glossy look-ups in 16² buckets, cache of 32 faces; misses a texel fetch, MB decoded, CPU s", glossy.len() / 3);
+    for (name, version) in versions {
+        for strategy in ReadStrategy::ALL {
+            let cache = Cache::new(CacheOptions { strategy, ..CacheOptions::decoded(32 * FACE_BYTES) });
+            let started = cpu_seconds();
+            look_all_up(&cache, version, &glossy);
+            let seconds = cpu_seconds() - started;
+            let stats = cache.stats();
+            let rate = 100.0 * stats.texel_misses as f64 / stats.texel_fetches as f64;
+            println!("  {name} {strategy}: {rate:.3} %, {:.0} MB, {seconds:.3} s", 1e-6 * stats.bytes_decoded as f64);
+        }
+    }
+}
+
+fn policies(folder: &std::path::Path) {
+    println!("\nmisses of whole pages at equal bytes; the default, lru, against the best of all but Belady");
+    for (name, trace) in traces::rendered() {
+        let visits = traces::visits(&trace);
+        data::write_numbers(&folder.join("visits.u32"), &visits);
+        println!("  {name}: {} visits", visits.len());
+        let capacities = [8u64, 16, 32, 64, 128];
+        let theirs = rivals::cache_policies(folder, &capacities);
+        let (mut of_default, mut of_best) = (0, 0);
+        for capacity in capacities {
+            let misses = |order| {
+                let strategy = ReadStrategy::FullImage;
+                let capacity_bytes = capacity * trace.versions[0].shape.resident_bytes() as u64;
+                simulate(&trace, Setting { strategy, codec: Codec::ZstdChunk, order, capacity_bytes }).loads
+            };
+            let ours: Vec<(String, u64)> = PolicyKind::ALL.map(|kind| (kind.name().into(), misses(Order::Policy(kind)))).into();
+            let kept: Vec<(String, u64)> =
+                theirs.iter().filter(|r| r.capacity == capacity && r.most <= capacity).map(|r| (r.name.clone(), r.misses)).collect();
+            let (best_name, best) = ours.iter().chain(&kept).min_by_key(|(_, misses)| *misses).expect("there are policies");
+            let all: Vec<String> = ours.iter().chain(&kept).map(|(name, misses)| format!("{name} {misses}")).collect();
+            println!("    {capacity} pages: {}, belady {}; best {best_name}", all.join(", "), misses(Order::Belady));
+            of_default += misses(Order::Policy(PolicyKind::Lru));
+            of_best += best;
+        }
+        bound(&format!("{name}: lru / best, all sizes"), of_default as f64 / of_best as f64, 1.02);
+    }
+}
+
+/// 512 pages in batches of 32, each batch durable before the next begins. Wall time: it is the disk's.
+fn writes(folder: &std::path::Path, faces: &[f32]) {
+    let shape = data::shape(PixelFormat::F32);
+    let pages: Vec<_> = faces.chunks_exact(shape.values()).take(512).map(|texels| encode(&shape, texels).expect("a face")).collect();
+    let (mut ours, mut theirs) = (f64::INFINITY, f64::INFINITY);
+    for run in 0..3 {
+        let staging = data::staging(&folder.join(format!("writes-{run}")));
+        let started = Instant::now();
+        for (page, encoded) in (0..).zip(&pages) {
+            staging.append_encoded(PageId(page), encoded).expect("room on the disk");
+            if page % 32 == 31 {
+                staging.sync().expect("room on the disk");
+            }
+        }
+        ours = ours.min(started.elapsed().as_secs_f64());
+        theirs = theirs.min(data::write_files(&folder.join(format!("files-{run}")), pages.iter().map(|p| p.payload_bytes())));
+    }
+    println!("\n512 pages made durable in batches of 32, wall s: ours {ours:.3}, a file a page {theirs:.3}");
+    bound("ours / a file a page", ours / theirs, 1.0 / 3.0);
+}
