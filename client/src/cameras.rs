@@ -84,20 +84,38 @@ impl OrbitFlags {
         wire::Intrinsics { width_px, height_px, focal_x_px: focal, focal_y_px: 0.0, center_x_px: None, center_y_px: None }
     }
 
-    /// Cameras around the box's centre; the radius is that of the sphere around the box.
+    /// Cameras around the box's centre.
     pub fn cameras(&self, bounds: &wire::Box3) -> anyhow::Result<Vec<Named>> {
-        let (min, max) = (vec3(bounds.min.unwrap_or_default()), vec3(bounds.max.unwrap_or_default()));
-        let centre = 0.5 * (min + max);
-        let distance = self.distance_radii * 0.5 * (max - min).length();
         let camera = |index: u32| {
-            let azimuth = self.azimuth_deg.to_radians() + std::f32::consts::TAU * index as f32 / self.frames as f32;
-            let (sin, cos) = self.elevation_deg.to_radians().sin_cos();
-            let outward = glam::Vec3::new(cos * azimuth.sin(), sin, cos * azimuth.cos());
-            let pose = look_at(centre + distance * outward, centre, glam::Vec3::Y)?;
-            Ok((format!("{index:05}"), wire::Camera { pose: Some(pose), intrinsics: Some(self.intrinsics()) }))
+            let azimuth_deg = self.azimuth_deg + 360.0 * index as f32 / self.frames as f32;
+            let place = Place { azimuth_deg, elevation_deg: self.elevation_deg, distance_radii: self.distance_radii };
+            Ok((format!("{index:05}"), self.camera(bounds, place)?))
         };
         (0..self.frames).map(camera).collect()
     }
+
+    /// One that looks from `place` at the box's centre, with the orbit's lens.
+    pub fn camera(&self, bounds: &wire::Box3, place: Place) -> anyhow::Result<wire::Camera> {
+        let (min, max) = (vec3(bounds.min.unwrap_or_default()), vec3(bounds.max.unwrap_or_default()));
+        let centre = 0.5 * (min + max);
+        let distance = place.distance_radii * 0.5 * (max - min).length();
+        let azimuth = place.azimuth_deg.to_radians();
+        let (sin, cos) = place.elevation_deg.to_radians().sin_cos();
+        let outward = glam::Vec3::new(cos * azimuth.sin(), sin, cos * azimuth.cos());
+        let pose = look_at(centre + distance * outward, centre, glam::Vec3::Y)?;
+        Ok(wire::Camera { pose: Some(pose), intrinsics: Some(self.intrinsics()) })
+    }
+}
+
+/// A viewpoint around an object.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Place {
+    /// From +Z toward +X.
+    pub azimuth_deg: f32,
+    /// Above the horizon.
+    pub elevation_deg: f32,
+    /// From the centre of the object's box, in radii of the sphere around the box.
+    pub distance_radii: f32,
 }
 
 /// Looks from `position` at `target`.

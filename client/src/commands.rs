@@ -6,6 +6,7 @@ pub mod dataset;
 mod download;
 pub mod evaluate;
 pub mod job;
+pub mod load;
 pub mod render;
 pub mod system;
 mod watch;
@@ -23,6 +24,7 @@ pub async fn run(command: Command, context: &Context) -> anyhow::Result<()> {
         Command::Job(command) => job::run(command, context).await,
         Command::Render(arguments) => render::run(&arguments, context).await,
         Command::Evaluate(arguments) => evaluate::run(&arguments, context).await,
+        Command::Load(arguments) => load::run(&arguments, context).await,
         Command::Cache(command) => cache::run(command, context).await,
         Command::System(command) => system::run(command, context).await,
         Command::Completions { shell } => {

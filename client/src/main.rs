@@ -2,7 +2,9 @@
 //!
 //! Results go to standard output, talk and progress to standard error; `docs/command-line.md` has the JSON objects and exit codes.
 
+mod cache_names;
 mod cameras;
+mod chart;
 mod cli;
 mod commands;
 mod contact_sheet;
@@ -14,6 +16,7 @@ mod progress;
 mod render_settings;
 mod scene_source;
 mod upload;
+mod viewer_path;
 mod views;
 
 use std::io;

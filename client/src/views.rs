@@ -208,21 +208,6 @@ pub struct CacheUse {
     pub read_bytes: u64,
 }
 
-/// `cache stats`.
-#[derive(Debug, Serialize)]
-pub struct CacheStats {
-    memory_budget_bytes: u64,
-    memory_used_bytes: u64,
-    memory_pages: u64,
-    look_ups: u64,
-    hits: u64,
-    misses: u64,
-    coalesced: u64,
-    evictions: u64,
-    read_bytes: u64,
-    decoded_bytes: u64,
-}
-
 fn time(timestamp: Option<Timestamp>) -> Option<String> {
     timestamp.map(|t| t.to_string())
 }
@@ -325,23 +310,6 @@ impl From<wire::JobResult> for JobResult {
 impl From<wire::JobEvent> for JobEvent {
     fn from(e: wire::JobEvent) -> Self {
         Self { sequence: e.sequence, time: time(e.time), job: e.job.unwrap_or_default().into() }
-    }
-}
-
-impl From<wire::CacheStats> for CacheStats {
-    fn from(s: wire::CacheStats) -> Self {
-        Self {
-            memory_budget_bytes: s.memory_budget_bytes,
-            memory_used_bytes: s.memory_used_bytes,
-            memory_pages: s.memory_pages,
-            look_ups: s.look_ups,
-            hits: s.hits,
-            misses: s.misses,
-            coalesced: s.coalesced,
-            evictions: s.evictions,
-            read_bytes: s.read_bytes,
-            decoded_bytes: s.decoded_bytes,
-        }
     }
 }
 

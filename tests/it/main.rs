@@ -3,6 +3,7 @@
 //! The binaries must be built: `tests/run` does, or `cargo build --workspace --bins`.
 
 mod bad_input;
+mod cache;
 mod clients;
 mod command_line;
 mod killed;

@@ -89,7 +89,7 @@ pub async fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<()>
 }
 
 /// Pinned, so that a version published meanwhile does not change the path's second half.
-async fn version_of(context: &Context, server: &Server, name: &str, version: u64) -> anyhow::Result<wire::DatasetVersion> {
+pub async fn version_of(context: &Context, server: &Server, name: &str, version: u64) -> anyhow::Result<wire::DatasetVersion> {
     let dataset = server.datasets().get_dataset(context.request(wire::GetDatasetRequest { name: name.into() })).await?.into_inner();
     let wanted = if version == 0 { dataset.latest_version } else { version };
     if wanted == 0 {

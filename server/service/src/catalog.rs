@@ -4,18 +4,20 @@ mod uploads;
 
 use std::collections::VecDeque;
 use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use lumisphere::representations::offset_surface_light_field as oslf;
 use lumisphere::representations::{CachedPages, Kind, Representation};
 use lumisphere::textures::{
-    Cache, CacheOptions, CacheStats, ContentHash, DatasetVersion, Manifest, OpenReport, Store, StoreError, StoreOptions,
+    Cache, CacheOptions, CacheSnapshot, ContentHash, DatasetVersion, Manifest, OpenReport, Store, StoreError, StoreOptions, Trace,
 };
 
 use uploads::Uploads;
 pub use uploads::{Progress, UploadLimits};
 
 use crate::errors::{ApiError, Reason};
+use crate::wire::cache::CacheChange;
 use crate::wire::datasets::{ORIGIN, Origin, manifest_bytes};
 
 /// Versions whose geometry stays in memory while nobody renders them.
@@ -28,7 +30,8 @@ pub struct Catalog {
     uploads: Uploads,
     opened: Mutex<VecDeque<Arc<OpenedVersion>>>,
     /// Counters at the last reset.
-    baseline: Mutex<CacheStats>,
+    baseline: Mutex<CacheSnapshot>,
+    is_recording: Arc<AtomicBool>,
 }
 
 /// A version ready to render. While it is held it can be rendered, even if the dataset is deleted.
@@ -55,15 +58,17 @@ pub struct DatasetView {
 
 impl Catalog {
     /// Opens or makes the store below `data_dir` and tells the operator what was found.
-    pub fn open(data_dir: &Path, cache_bytes: u64, limits: UploadLimits) -> Result<Self, StoreError> {
+    pub fn open(data_dir: &Path, cache: CacheOptions, limits: UploadLimits) -> Result<Self, StoreError> {
         let (store, report) = Store::open(data_dir, StoreOptions::local())?;
         log_report(&report);
+        let cache = Cache::new(cache);
         Ok(Self {
             uploads: Uploads::new(store.clone(), limits),
             store,
-            cache: Arc::new(Cache::new(CacheOptions::decoded(cache_bytes))),
+            baseline: Mutex::new(cache.snapshot()),
+            cache: Arc::new(cache),
             opened: Mutex::default(),
-            baseline: Mutex::default(),
+            is_recording: Arc::default(),
         })
     }
 
@@ -202,14 +207,43 @@ impl Catalog {
         Ok(Content::Stored { store: self.store.clone(), hash, bytes: self.store.blob_bytes(&hash)? })
     }
 
-    /// Counters since the last reset, and those of that moment.
-    pub fn cache_stats(&self) -> (CacheStats, CacheStats) {
-        (self.cache.stats(), *self.baseline())
+    /// The cache's counters, and those of the last reset.
+    pub fn cache_stats(&self) -> (CacheSnapshot, CacheSnapshot) {
+        (self.cache.snapshot(), self.baseline().clone())
     }
 
-    /// Changes the budget now.
-    pub fn set_cache_budget(&self, bytes: u64) {
-        self.cache.set_budget(bytes);
+    /// Changes both memory tiers now.
+    pub fn configure_cache(&self, change: &CacheChange) {
+        if let Some(strategy) = change.strategy {
+            self.cache.set_strategy(change.dataset.as_deref(), strategy);
+        }
+        if let Some(policy) = change.memory_policy {
+            self.cache.set_policy(policy);
+        }
+        if let Some(policy) = change.compressed_policy {
+            self.cache.set_compressed_policy(policy);
+        }
+        if let Some(bytes) = change.memory_budget_bytes {
+            self.cache.set_budget(bytes);
+        }
+        if let Some(bytes) = change.compressed_budget_bytes {
+            self.cache.set_compressed_budget(bytes);
+        }
+    }
+
+    /// An error if there is no such dataset.
+    pub fn check_exists(&self, dataset: &str) -> Result<(), ApiError> {
+        self.store.versions(dataset)?;
+        Ok(())
+    }
+
+    /// Records every request for texels, until the lease is finished or dropped.
+    pub fn start_recording(&self, limit_bytes: usize) -> Result<RecordingLease, ApiError> {
+        if self.is_recording.swap(true, Ordering::SeqCst) {
+            return Err(ApiError::new(Reason::RecordingBusy, "another recording is under way; try again when it has ended"));
+        }
+        self.cache.start_recording(limit_bytes);
+        Ok(RecordingLease { cache: self.cache.clone(), is_recording: self.is_recording.clone() })
     }
 
     /// Forgets every page.
@@ -219,11 +253,32 @@ impl Catalog {
 
     /// Counters count from here.
     pub fn reset_cache_counters(&self) {
-        *self.baseline() = self.cache.stats();
+        *self.baseline() = self.cache.snapshot();
     }
 
-    fn baseline(&self) -> MutexGuard<'_, CacheStats> {
+    fn baseline(&self) -> MutexGuard<'_, CacheSnapshot> {
         self.baseline.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// The one recording that is under way.
+pub struct RecordingLease {
+    cache: Arc<Cache>,
+    is_recording: Arc<AtomicBool>,
+}
+
+impl RecordingLease {
+    /// Ends it; what was recorded.
+    pub fn finish(self) -> Trace {
+        let empty = || Trace { versions: Vec::new(), events: Vec::new(), is_truncated: false };
+        self.cache.stop_recording().unwrap_or_else(empty)
+    }
+}
+
+impl Drop for RecordingLease {
+    fn drop(&mut self) {
+        self.cache.stop_recording();
+        self.is_recording.store(false, Ordering::SeqCst);
     }
 }
 

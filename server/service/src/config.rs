@@ -13,6 +13,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use clap::{Arg, ArgAction, ArgMatches, Command};
+use lumisphere::textures::{CacheOptions, PolicyKind};
 use thiserror::Error;
 
 /// Everything the operator can set.
@@ -26,10 +27,12 @@ pub struct Config {
     pub data_dir: PathBuf,
     /// What renders.
     pub backend: BackendChoice,
-    /// Budget of decoded pages in memory.
-    pub memory_cache_bytes: u64,
+    /// Both memory tiers of the texture cache.
+    pub cache: CacheOptions,
     /// Budget of textures on the graphics adapter.
     pub gpu_cache_bytes: u64,
+    /// Which page leaves the adapter first.
+    pub gpu_cache_policy: PolicyKind,
     /// Width · height.
     pub max_pixels_per_frame: u64,
     /// Renders that wait.
@@ -170,6 +173,8 @@ enum Value {
     List(Vec<String>),
 }
 
+const POLICIES: &[&str] = &["lru", "clock", "arc", "s3_fifo", "frame_lru"];
+
 const SETTINGS: &[Setting] = &[
     Setting { key: "listen_address", kind: Kind::Address, default: "\"127.0.0.1:7443\"", about: "Address and port of gRPC and gRPC-Web" },
     Setting {
@@ -196,6 +201,31 @@ const SETTINGS: &[Setting] = &[
         kind: Kind::Count { min: 0, max: 1 << 44 },
         default: "1073741824",
         about: "Budget of textures on the graphics adapter",
+    },
+    Setting {
+        key: "compressed_cache_bytes",
+        kind: Kind::Count { min: 0, max: 1 << 44 },
+        default: "0",
+        about: "Budget of compressed texture blocks in memory; 0 keeps none",
+    },
+    Setting {
+        key: "memory_cache_policy",
+        kind: Kind::Choice(POLICIES),
+        default: "\"lru\"",
+        about: "Which decoded page leaves first: lru, clock, arc, s3_fifo or frame_lru",
+    },
+    Setting {
+        key: "compressed_cache_policy",
+        kind: Kind::Choice(POLICIES),
+        default: "\"lru\"",
+        about: "Which compressed block leaves first",
+    },
+    Setting { key: "gpu_cache_policy", kind: Kind::Choice(POLICIES), default: "\"lru\"", about: "Which page leaves the adapter first" },
+    Setting {
+        key: "read_strategy",
+        kind: Kind::Choice(&["on_demand", "on_demand_restart", "half_threshold", "full_image", "block"]),
+        default: "\"block\"",
+        about: "What a miss of the CPU renderer decodes: on_demand, on_demand_restart, half_threshold, full_image or block",
     },
     Setting {
         key: "max_pixels_per_frame",
@@ -336,6 +366,7 @@ impl Config {
             other => unreachable!("{key} is a list by the table, not {other}"),
         };
         let address = |key: &str| text(key).parse().expect("addresses were checked by their kind");
+        let policy = |key: &str| text(key).parse::<PolicyKind>().expect("the table's choices are the policies' names");
         let size = |key: &str| usize::try_from(count(key)).expect("counts that become sizes are bounded by the table");
         Self {
             listen_address: address("listen_address"),
@@ -346,8 +377,15 @@ impl Config {
                 "cpu" => BackendChoice::Cpu,
                 _ => BackendChoice::Auto,
             },
-            memory_cache_bytes: count("memory_cache_bytes"),
+            cache: CacheOptions {
+                decoded_bytes: count("memory_cache_bytes"),
+                compressed_bytes: count("compressed_cache_bytes"),
+                decoded_policy: policy("memory_cache_policy"),
+                compressed_policy: policy("compressed_cache_policy"),
+                strategy: text("read_strategy").parse().expect("the table's choices are the strategies' names"),
+            },
             gpu_cache_bytes: count("gpu_cache_bytes"),
+            gpu_cache_policy: policy("gpu_cache_policy"),
             max_pixels_per_frame: count("max_pixels_per_frame"),
             render_queue_length: size("render_queue_length"),
             max_sessions: size("max_sessions"),

@@ -96,14 +96,16 @@ pub fn code_of(reason: Reason) -> Code {
         | Reason::UploadNotBegun
         | Reason::JobEnded
         | Reason::FormatTooNew
+        | Reason::NoGpu
         | Reason::InteractionOrder => Code::FailedPrecondition,
-        Reason::DatasetBusy => Code::Aborted,
+        Reason::DatasetBusy | Reason::RecordingBusy => Code::Aborted,
         Reason::BlobHashMismatch | Reason::DataCorrupt => Code::DataLoss,
         Reason::UploadTooLarge
         | Reason::JobQueueFull
         | Reason::RenderQueueFull
         | Reason::FrameTooLarge
         | Reason::TooManySessions
+        | Reason::TraceTooLarge
         | Reason::DiskFull => Code::ResourceExhausted,
         Reason::JobCancelled => Code::Cancelled,
         Reason::GpuUnavailable | Reason::ShuttingDown => Code::Unavailable,

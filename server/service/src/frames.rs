@@ -1,6 +1,6 @@
 //! From a pose to an encoded frame: open the version, wait for the render thread, encode on a blocking thread.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
 use bytes::Bytes;
@@ -14,6 +14,7 @@ use crate::config::BackendChoice;
 use crate::errors::{ApiError, Reason};
 use crate::render_queue::{Priority, QueueError, RenderQueue, Rendered};
 use crate::telemetry::Metrics;
+use crate::wire::cache::GpuTier;
 use crate::wire::frames::EncodedFrame;
 use crate::wire::settings::{Encoding, Output, RenderSettings};
 use crate::wire::{MAX_FRAME_MESSAGE_BYTES, proto};
@@ -28,6 +29,8 @@ const MESSAGE_OVERHEAD_BYTES: usize = 64 << 10;
 pub struct Frames {
     queue: RenderQueue<Renderer>,
     metrics: Arc<Metrics>,
+    /// The adapter's tier as the last work on the render thread left it: asking does not wait for a frame.
+    gpu: Arc<Mutex<Option<GpuTier>>>,
 }
 
 /// What one frame shows.
@@ -43,12 +46,30 @@ pub struct FrameOrder {
     pub output: Output,
     /// What opening the version took, microseconds.
     pub opening_micros: u64,
+    /// Whether it may be shown before all its pages are on the adapter.
+    pub refine: Refine,
 }
 
 impl Frames {
     /// On this queue.
     pub fn new(queue: RenderQueue<Renderer>, metrics: Arc<Metrics>) -> Self {
-        Self { queue, metrics }
+        Self { queue, metrics, gpu: Arc::default() }
+    }
+
+    /// The adapter's tier of the texture cache after the last frame; None without an adapter.
+    pub fn gpu_tier(&self) -> Option<GpuTier> {
+        *self.gpu.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Changes the adapter's tier, in its turn among the frames.
+    pub async fn with_gpu_tier(&self, change: impl FnOnce(&Renderer) + Send + 'static) -> Result<(), ApiError> {
+        let gpu = self.gpu.clone();
+        let work = move |renderer: &mut Renderer| {
+            change(renderer);
+            note_gpu_tier(&gpu, renderer);
+        };
+        self.queue.run(Priority::Viewer, None, work).await.map_err(|e| self.refused(e))?;
+        Ok(())
     }
 
     /// Renders waiting or in work.
@@ -83,15 +104,18 @@ impl Frames {
         who: Priority,
         deadline: Option<tokio::time::Instant>,
     ) -> Result<(Rendered<Frame>, Option<String>), ApiError> {
+        let gpu = self.gpu.clone();
         let work = move |renderer: &mut Renderer| {
             let outputs = Outputs { depth: order.output.depth, provenance: order.output.provenance };
-            let request = FrameRequest { camera: &order.camera, settings: &order.settings.settings, outputs, refine: Refine::Whole };
+            let request = FrameRequest { camera: &order.camera, settings: &order.settings.settings, outputs, refine: order.refine };
             let backend = match order.settings.backend {
                 BackendChoice::Auto => None,
                 BackendChoice::Gpu => Some(Backend::Gpu),
                 BackendChoice::Cpu => Some(Backend::Cpu),
             };
-            let frame = renderer.render(&order.version.representation, &order.version.pages, &request, backend)?;
+            let rendered = renderer.render(&order.version.representation, &order.version.pages, &request, backend);
+            note_gpu_tier(&gpu, renderer);
+            let frame = rendered?;
             let adapter = (frame.stats.backend == Backend::Gpu).then(|| renderer.adapter().unwrap_or_default().to_string());
             Ok::<_, RenderError>((frame, adapter))
         };
@@ -112,6 +136,11 @@ impl Frames {
         };
         ApiError::new(reason, error.to_string())
     }
+}
+
+fn note_gpu_tier(place: &Mutex<Option<GpuTier>>, renderer: &Renderer) {
+    let tier = renderer.gpu_stats().zip(renderer.gpu_policy()).map(|(stats, policy)| GpuTier { stats, policy });
+    *place.lock().unwrap_or_else(PoisonError::into_inner) = tier;
 }
 
 /// The colour of a frame as an image.

@@ -101,7 +101,7 @@ fn assemble(effective: Effective, runtime: &tokio::runtime::Handle) -> anyhow::R
     let Effective { config, entries } = effective;
     let metrics = Arc::new(Metrics::new());
     let uploads = UploadLimits { blob_bytes: config.max_blob_bytes, unfinished_bytes: config.max_unfinished_upload_bytes };
-    let catalog = Catalog::open(&config.data_dir, config.memory_cache_bytes, uploads).context("cannot open the data folder")?;
+    let catalog = Catalog::open(&config.data_dir, config.cache, uploads).context("cannot open the data folder")?;
     let catalog = Arc::new(catalog);
     let (queue, adapter) = start_rendering(&config)?;
     let frames = Frames::new(queue, metrics.clone());
@@ -121,6 +121,7 @@ fn assemble(effective: Effective, runtime: &tokio::runtime::Handle) -> anyhow::R
         sessions: Sessions::new(config.max_sessions),
         metrics,
         adapter,
+        gpu_baseline: std::sync::Mutex::default(),
         stopping: CancellationToken::new(),
         started: Instant::now(),
         frame_ids: AtomicU64::new(0),
@@ -131,10 +132,11 @@ fn assemble(effective: Effective, runtime: &tokio::runtime::Handle) -> anyhow::R
 
 /// The render thread, and the adapter it found.
 fn start_rendering(config: &Config) -> anyhow::Result<(RenderQueue<Renderer>, Option<Adapter>)> {
-    let (choice, budget) = (config.backend, config.gpu_cache_bytes);
+    let (choice, budget, policy) = (config.backend, config.gpu_cache_bytes, config.gpu_cache_policy);
     let (told, adapter) = std::sync::mpsc::channel();
     let make = move || {
         let renderer = make_renderer(choice, budget)?;
+        renderer.set_gpu_policy(policy);
         // Only the first renderer's adapter is waited for.
         let _ = told.send(adapter_of(&renderer));
         Ok::<_, anyhow::Error>(renderer)

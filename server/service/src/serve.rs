@@ -19,6 +19,7 @@ use tower_http::cors::{AllowOrigin, CorsLayer};
 use crate::api::{Api, App};
 use crate::shutdown::{Drained, StopSignals, until_drained};
 use crate::telemetry::{Metrics, Observed, RpcMetrics, http_routes};
+use crate::wire::cache::{dataset_counts, tier_counts, tier_name};
 use crate::wire::proto::cache_server::{CacheServer, SERVICE_NAME as CACHE};
 use crate::wire::proto::datasets_server::{DatasetsServer, SERVICE_NAME as DATASETS};
 use crate::wire::proto::jobs_server::{JobsServer, SERVICE_NAME as JOBS};
@@ -144,12 +145,9 @@ fn observed(app: &Arc<App>) -> Arc<Observed> {
         m.jobs_running.set(running as i64);
         m.sessions.set(seen.sessions.open() as i64);
         m.renders_waiting.set(seen.frames.waiting() as i64);
-        let (now, baseline) = seen.catalog.cache_stats();
-        m.cache_look_ups.set((now.look_ups - baseline.look_ups) as i64);
-        m.cache_hits.set((now.hits - baseline.hits) as i64);
-        m.cache_misses.set((now.misses - baseline.misses) as i64);
-        m.cache_evictions.set((now.evictions - baseline.evictions) as i64);
-        m.cache_bytes.set(now.resident_bytes as i64);
+        let cache = seen.cache_stats();
+        cache.tiers.iter().for_each(|t| m.cache_tier(tier_name(t), tier_counts(t)));
+        cache.datasets.iter().for_each(|d| m.cache_dataset(&d.dataset, d.version, dataset_counts(d)));
     };
     Arc::new(Observed { metrics: app.metrics.clone(), refresh: Box::new(refresh), stopping: app.stopping.clone() })
 }

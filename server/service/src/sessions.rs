@@ -8,6 +8,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use lumisphere::geometry::Camera;
+use lumisphere::render::Refine;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc, watch};
 use tokio_stream::{Stream, StreamExt};
 use tokio_util::sync::CancellationToken;
@@ -30,6 +31,8 @@ const DEFAULT_CREDITS: u32 = 2;
 const MAX_CREDITS: u32 = 16;
 /// A wish that found the render queue full tries again after this time.
 const QUEUE_RETRY: Duration = Duration::from_millis(20);
+/// Texels that a viewer's frame may wait for: about 30 ms of reading and uploading on a software adapter. Coarse ones stand in for the rest.
+const INTERACTIVE: Refine = Refine::UpTo { upload_bytes: 16 << 20 };
 /// Messages between the session and the connection: one on its way, one ready. A client that stops reading stops the session.
 const OUTBOX: usize = 2;
 
@@ -222,9 +225,14 @@ impl Session {
             let Some((pose_id, camera)) = wish.pose else { continue };
             match self.render(camera, &wish, pose_id, sent + 1).await {
                 Ok(frame) => {
+                    let is_final = frame.is_final;
                     // Before it can be acknowledged.
                     self.sent.store(sent + 1, Ordering::SeqCst);
                     slot.send(Ok(response(Down::Frame(frame))));
+                    // The wish stays due: a better frame of it follows, if no newer wish comes before.
+                    if !is_final {
+                        continue;
+                    }
                 }
                 // The wish stays due: a viewer at rest sends nothing that would ask again.
                 Err(error) if error.reason() == Reason::RenderQueueFull => {
@@ -241,7 +249,14 @@ impl Session {
     }
 
     async fn render(&self, camera: Camera, wish: &Wish, pose_id: u64, frame_id: u64) -> Result<proto::Frame, ApiError> {
-        let order = FrameOrder { version: self.version.clone(), camera, settings: wish.settings, output: wish.output, opening_micros: 0 };
+        let order = FrameOrder {
+            version: self.version.clone(),
+            camera,
+            settings: wish.settings,
+            output: wish.output,
+            opening_micros: 0,
+            refine: INTERACTIVE,
+        };
         let begun = Instant::now();
         let frame = self.app.frames.encoded(order, Priority::Viewer, None).await?;
         tracing::debug!(frame_id, pose_id, micros = begun.elapsed().as_micros() as u64, "frame");

@@ -44,6 +44,45 @@ struct StageLabels {
     stage: &'static str,
 }
 
+/// Label of a tier of the texture cache: "compressed", "memory" or "gpu".
+#[derive(Debug, Clone, Hash, PartialEq, Eq, EncodeLabelSet)]
+struct TierLabels {
+    tier: &'static str,
+}
+
+/// Labels of a dataset version that was asked for.
+#[derive(Debug, Clone, Hash, PartialEq, Eq, EncodeLabelSet)]
+struct DatasetLabels {
+    dataset: String,
+    version: u64,
+}
+
+/// Instruments of a tier; events since start or the last reset.
+const TIER_COUNTS: [(&str, &str); 8] = [
+    ("cache_look_ups", "Texture pages or blocks asked for"),
+    ("cache_hits", "Of those, found in the tier"),
+    ("cache_misses", "Of those, not in the tier"),
+    ("cache_evictions", "Dropped to keep the budget"),
+    ("cache_bytes_in", "Bytes brought into the tier"),
+    ("cache_bytes", "Bytes held"),
+    ("cache_peak_bytes", "Most bytes ever held"),
+    ("cache_budget_bytes", "Bytes that may be held"),
+];
+
+/// Instruments of a dataset version; events since start or the last reset.
+const DATASET_COUNTS: [(&str, &str); 10] = [
+    ("texture_texel_fetches", "Texels fetched"),
+    ("texture_texel_misses", "Of those, that had to read or wait"),
+    ("texture_page_visits", "Times a reader turned to another page"),
+    ("texture_visit_misses", "Of those, in which something was missing"),
+    ("texture_blocks_read", "Compressed blocks read"),
+    ("texture_bytes_read", "Bytes read from disk"),
+    ("texture_rows_decoded", "Rows decoded"),
+    ("texture_rows_redundant", "Of those, decoded before"),
+    ("texture_decode_micros", "Checking and unpacking, microseconds summed over readers"),
+    ("texture_wait_micros", "Waiting for another's read, microseconds summed over readers"),
+];
+
 /// Every instrument of the server. Counts of others (cache, jobs) are copied in when scraped.
 pub struct Metrics {
     registry: Registry,
@@ -63,16 +102,8 @@ pub struct Metrics {
     pub jobs_running: Gauge,
     /// Renders waiting or in work.
     pub renders_waiting: Gauge,
-    /// Pages asked for.
-    pub cache_look_ups: Gauge,
-    /// Found in memory.
-    pub cache_hits: Gauge,
-    /// Read from disk.
-    pub cache_misses: Gauge,
-    /// Dropped to keep the budget.
-    pub cache_evictions: Gauge,
-    /// Bytes held.
-    pub cache_bytes: Gauge,
+    cache_tiers: [Family<TierLabels, Gauge>; TIER_COUNTS.len()],
+    cache_datasets: [Family<DatasetLabels, Gauge>; DATASET_COUNTS.len()],
 }
 
 impl Metrics {
@@ -90,11 +121,8 @@ impl Metrics {
             jobs_pending: Gauge::default(),
             jobs_running: Gauge::default(),
             renders_waiting: Gauge::default(),
-            cache_look_ups: Gauge::default(),
-            cache_hits: Gauge::default(),
-            cache_misses: Gauge::default(),
-            cache_evictions: Gauge::default(),
-            cache_bytes: Gauge::default(),
+            cache_tiers: Default::default(),
+            cache_datasets: Default::default(),
         };
         let r = &mut m.registry;
         r.register("rpc_server_call_duration_seconds", "Rpcs until their last byte, by method and status code", m.rpc_seconds.clone());
@@ -106,17 +134,32 @@ impl Metrics {
         r.register("jobs_pending", "Jobs waiting", m.jobs_pending.clone());
         r.register("jobs_running", "Jobs running", m.jobs_running.clone());
         r.register("renders_waiting", "Renders waiting or in work", m.renders_waiting.clone());
-        r.register("cache_look_ups", "Texture pages asked for since start or reset", m.cache_look_ups.clone());
-        r.register("cache_hits", "Texture pages found in memory since start or reset", m.cache_hits.clone());
-        r.register("cache_misses", "Texture pages read from disk since start or reset", m.cache_misses.clone());
-        r.register("cache_evictions", "Texture pages dropped to keep the budget since start or reset", m.cache_evictions.clone());
-        r.register("cache_bytes", "Bytes of texture pages in memory", m.cache_bytes.clone());
+        for ((name, about), family) in TIER_COUNTS.iter().zip(&m.cache_tiers) {
+            r.register(*name, *about, family.clone());
+        }
+        for ((name, about), family) in DATASET_COUNTS.iter().zip(&m.cache_datasets) {
+            r.register(*name, *about, family.clone());
+        }
         m
     }
 
     /// One frame's stage took so long.
     pub fn frame_stage(&self, stage: &'static str, micros: u64) {
         self.frame_seconds.get_or_create(&StageLabels { stage }).observe(micros as f64 * 1e-6);
+    }
+
+    /// Counts of a tier, as `TIER_COUNTS` lists them.
+    pub fn cache_tier(&self, tier: &'static str, counts: [u64; TIER_COUNTS.len()]) {
+        for (family, count) in self.cache_tiers.iter().zip(counts) {
+            family.get_or_create(&TierLabels { tier }).set(count as i64);
+        }
+    }
+
+    /// Counts of a dataset version, as `DATASET_COUNTS` lists them.
+    pub fn cache_dataset(&self, dataset: &str, version: u64, counts: [u64; DATASET_COUNTS.len()]) {
+        for (family, count) in self.cache_datasets.iter().zip(counts) {
+            family.get_or_create(&DatasetLabels { dataset: dataset.into(), version }).set(count as i64);
+        }
     }
 
     fn encode(&self) -> Result<String, std::fmt::Error> {
@@ -262,6 +305,8 @@ mod tests {
         let metrics = Arc::new(Metrics::new());
         metrics.frame_stage("render", 12_000);
         metrics.frames.inc();
+        metrics.cache_tier("memory", [1, 2, 3, 4, 5, 6, 7, 8]);
+        metrics.cache_dataset("teapot", 3, [1, 2, 3, 4, 5, 6, 7, 8, 9, 10]);
         let measure = |path: &str, code: Option<&str>| {
             drop(Measure { metrics: metrics.clone(), path: path.into(), begun: Instant::now(), code: code.map(String::from) });
         };
@@ -270,6 +315,8 @@ mod tests {
         measure("/x.Y/Z", Some("12"));
         let text = metrics.encode().unwrap();
         assert!(text.contains("lumisphere_render_frames_total 1"), "{text}");
+        assert!(text.contains("lumisphere_cache_hits{tier=\"memory\"} 2"), "{text}");
+        assert!(text.contains("lumisphere_texture_texel_misses{dataset=\"teapot\",version=\"3\"} 2"), "{text}");
         assert!(text.contains("lumisphere_render_frame_seconds_bucket{le=\"0.02\",stage=\"render\"} 1"), "{text}");
         assert!(
             text.contains("lumisphere_rpc_server_call_duration_seconds_count{method=\"lumisphere.v1alpha1.Jobs/GetJob\",code=\"5\"} 1"),

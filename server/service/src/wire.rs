@@ -2,6 +2,7 @@
 //!
 //! Everything that arrives is checked here, once. An error names the field by its path in the request.
 
+pub mod cache;
 pub mod camera;
 pub mod datasets;
 pub mod frames;

@@ -8,7 +8,7 @@ use glam::Vec2;
 
 /// Draws the numbers of one sample, in order. Cheap to copy.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct SampleSequence {
+pub(crate) struct SampleSequence {
     pixel: u32,
     sample: u32,
     dimension: u32,

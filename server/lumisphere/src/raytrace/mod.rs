@@ -29,6 +29,7 @@ mod warp;
 mod tests;
 
 pub(crate) use bvh::Bvh;
+pub(crate) use low_discrepancy::SampleSequence;
 pub use render::{TraceSettings, TracedImage};
 pub use tracer::{Appearance, Hit, TraceError, Tracer};
 pub(crate) use traverse::Stack;

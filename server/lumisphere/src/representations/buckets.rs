@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use super::{FrameRequest, Pixels, Provenance, RenderError};
 
 /// Pixels along a bucket's edge: 6 to 11 times fewer cache misses than scanlines (methods page 1's cache experiments, ours).
-const BUCKET_PX: usize = 16;
+pub(super) const BUCKET_PX: usize = 16;
 
 /// One finished pixel: radiance and distance without NaN.
 #[derive(Debug, Clone, Copy, PartialEq)]

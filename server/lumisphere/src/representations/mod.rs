@@ -7,6 +7,7 @@ mod g_buffer;
 pub mod offset_surface_light_field;
 mod page_source;
 mod provenance;
+mod requests;
 
 use std::sync::Arc;
 
@@ -20,8 +21,9 @@ use crate::textures::PolicyKind;
 use crate::textures::StoreError;
 use offset_surface_light_field as oslf;
 
-pub use page_source::{CachedPages, CountingSource, Fetched, PageSource, PageUse};
+pub use page_source::{CachedPages, CountingReader, CountingSource, Fetched, PageSource, PageUse, TexelReader, WholePages};
 pub use provenance::{Answer, Provenance};
+pub use requests::{Lobe, PixelOrder, Recording, RequestTrace, TexelRequest};
 
 /// Which representation a dataset holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -80,6 +82,9 @@ pub trait Representation: std::fmt::Debug + Send + Sync {
     /// How many pages its dataset has.
     fn page_count(&self) -> usize;
 
+    /// Parts with a table of sample points, and the rows of each.
+    fn sample_map_rows(&self) -> (u32, u32);
+
     /// The readable reference.
     fn cpu_kernel(self: Arc<Self>) -> Box<dyn CpuKernel>;
 
@@ -92,6 +97,9 @@ pub trait Representation: std::fmt::Debug + Send + Sync {
 pub trait CpuKernel: Send + Sync {
     /// One frame; blocks.
     fn render(&self, request: &FrameRequest<'_>, pages: &CountingSource<'_>) -> Result<Pixels, RenderError>;
+
+    /// Every request for stored texels that such a frame makes, pixel by pixel, by one thread; reads no page.
+    fn record(&self, recording: &Recording<'_>, sink: &mut dyn FnMut(TexelRequest)) -> Result<(), RenderError>;
 }
 
 /// Renders frames of one dataset on the GPU.

@@ -279,7 +279,14 @@ impl Cache {
         let mut total = CacheStats::default();
         sums.iter().for_each(|sum| total.add_events(sum));
         let decoded = with_sizes(total, &residency, residency.total(), residency.peak_bytes);
-        CacheSnapshot { decoded, decoded_policy: residency.kind(), compressed, compressed_policy, versions }
+        CacheSnapshot {
+            decoded,
+            decoded_policy: residency.kind(),
+            compressed,
+            compressed_policy,
+            strategy: self.strategies().default,
+            versions,
+        }
     }
 
     /// Forgets every page and block; who holds one keeps it. Counted as evictions.

@@ -29,6 +29,21 @@ pub struct TracedVersion {
     pub shape: PageShape,
 }
 
+impl TracedVersion {
+    /// What a trace says of a version.
+    pub fn of(version: &DatasetVersion) -> Self {
+        let manifest = version.manifest();
+        let largest = manifest.pages.shapes.iter().max_by_key(|shape| shape.values()).copied();
+        Self {
+            dataset: manifest.dataset.clone(),
+            version: manifest.version,
+            page_count: manifest.pages.count,
+            // A version without pages is never asked for one.
+            shape: largest.unwrap_or(PageShape { width: 1, height: 1, channels: 1, pixel: PixelFormat::F32 }),
+        }
+    }
+}
+
 /// What was asked for. `version` is an index into [`Trace::versions`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum TraceEvent {
@@ -71,6 +86,18 @@ pub struct Trace {
 pub struct InvalidTrace(pub &'static str);
 
 impl Trace {
+    /// The requests of one version alone, frames kept; None if there is no such version.
+    pub fn only(&self, version: u32) -> Option<Self> {
+        let kept = self.versions.get(version as usize)?.clone();
+        let events = self.events.iter().filter_map(|event| match *event {
+            TraceEvent::Frame => Some(TraceEvent::Frame),
+            TraceEvent::Row { version: v, page, row, fetches } if v == version => Some(TraceEvent::Row { version: 0, page, row, fetches }),
+            TraceEvent::Page { version: v, page } if v == version => Some(TraceEvent::Page { version: 0, page }),
+            TraceEvent::Row { .. } | TraceEvent::Page { .. } => None,
+        });
+        Some(Self { versions: vec![kept], events: events.collect(), is_truncated: self.is_truncated })
+    }
+
     /// The file's content.
     pub fn to_bytes(&self) -> Vec<u8> {
         let mut bytes = Vec::new();
@@ -249,16 +276,8 @@ impl Recorder {
         if let Some(index) = self.slots.iter().position(|slot| *slot == version.slot()) {
             return index as u32;
         }
-        let manifest = version.manifest();
-        let largest = manifest.pages.shapes.iter().max_by_key(|shape| shape.height).copied();
         self.slots.push(version.slot());
-        self.trace.versions.push(TracedVersion {
-            dataset: manifest.dataset.clone(),
-            version: manifest.version,
-            page_count: manifest.pages.count,
-            // A version without pages is never asked for one.
-            shape: largest.unwrap_or(PageShape { width: 1, height: 1, channels: 1, pixel: PixelFormat::F32 }),
-        });
+        self.trace.versions.push(TracedVersion::of(version));
         self.slots.len() as u32 - 1
     }
 

@@ -7,8 +7,8 @@ mod rendering;
 mod system;
 
 use std::pin::Pin;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
 use tokio_stream::Stream;
@@ -23,7 +23,9 @@ use crate::jobs::Jobs;
 use crate::render_queue::panic_message;
 use crate::sessions::Sessions;
 use crate::telemetry::Metrics;
+use crate::wire::cache::{GpuTier, cache_stats};
 use crate::wire::jobs::SpecLimits;
+use crate::wire::proto;
 
 /// All that the adapters share.
 pub struct App {
@@ -43,6 +45,8 @@ pub struct App {
     pub metrics: Arc<Metrics>,
     /// The graphics adapter, if there is one.
     pub adapter: Option<Adapter>,
+    /// Counters of the adapter's tier at the last reset.
+    pub gpu_baseline: Mutex<Option<GpuTier>>,
     /// Cancelled once the server stops.
     pub stopping: CancellationToken,
     /// When the server started.
@@ -72,6 +76,19 @@ impl App {
             true => Err(ApiError::new(Reason::ShuttingDown, "the server is stopping")),
             false => Ok(()),
         }
+    }
+
+    /// Every tier of the texture cache, counted since start or the last reset.
+    pub fn cache_stats(&self) -> proto::CacheStats {
+        let (now, baseline) = self.catalog.cache_stats();
+        let gpu_baseline = *self.gpu_baseline.lock().unwrap_or_else(PoisonError::into_inner);
+        cache_stats(&now, &baseline, self.frames.gpu_tier(), gpu_baseline.as_ref())
+    }
+
+    /// Counters count from here.
+    pub fn reset_cache_counters(&self) {
+        self.catalog.reset_cache_counters();
+        *self.gpu_baseline.lock().unwrap_or_else(PoisonError::into_inner) = self.frames.gpu_tier();
     }
 
     fn next_frame_id(&self) -> u64 {

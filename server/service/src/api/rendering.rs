@@ -2,6 +2,7 @@
 
 use std::time::Instant;
 
+use lumisphere::render::Refine;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Request, Response, Status, Streaming};
 
@@ -41,7 +42,7 @@ async fn render(app: &App, m: proto::RenderFrameRequest, deadline: Option<tokio:
     let version = blocking(move || catalog.open_version(&dataset, m.version)).await?;
     check_kind(&settings.settings, version.representation.kind().name())?;
     let opening_micros = begun.elapsed().as_micros() as u64;
-    let order = FrameOrder { version: version.clone(), camera, settings, output, opening_micros };
+    let order = FrameOrder { version: version.clone(), camera, settings, output, opening_micros, refine: Refine::Whole };
     let encoded = app.frames.encoded(order, Priority::Viewer, deadline).await?;
     let (dataset, dataset_version) = (version.dataset.clone(), version.version);
     Ok(frame(encoded, FrameIdentity { frame_id: app.next_frame_id(), pose_id: m.pose_id, dataset, dataset_version }))

@@ -1,6 +1,6 @@
 //! Datasets, their files, and the cache out.
 
-use lumisphere::textures::{CacheStats, ContentHash, Manifest};
+use lumisphere::textures::{ContentHash, Manifest};
 use prost::Message;
 
 use super::{proto, timestamp};
@@ -80,20 +80,4 @@ pub fn dataset_files(manifest: &Manifest) -> proto::ListDatasetFilesResponse {
     let segments = manifest.segments.iter().map(|s| file(Role::Segment, format!("{}.seg", s.blake3), &s.blake3, s.bytes));
     let blobs = manifest.blobs.iter().map(|(name, b)| file(Role::Blob, name.clone(), &b.blake3, b.bytes));
     proto::ListDatasetFilesResponse { version: manifest.version, files: [own].into_iter().chain(segments).chain(blobs).collect() }
-}
-
-/// Sizes now and counters since `baseline`.
-pub fn cache_stats(now: &CacheStats, baseline: &CacheStats) -> proto::CacheStats {
-    proto::CacheStats {
-        memory_budget_bytes: now.budget_bytes,
-        memory_used_bytes: now.resident_bytes,
-        memory_pages: now.resident_pages,
-        look_ups: now.look_ups - baseline.look_ups,
-        hits: now.hits - baseline.hits,
-        misses: now.misses - baseline.misses,
-        coalesced: now.coalesced_waits - baseline.coalesced_waits,
-        evictions: now.evictions - baseline.evictions,
-        read_bytes: now.bytes_read - baseline.bytes_read,
-        decoded_bytes: now.bytes_decoded - baseline.bytes_decoded,
-    }
 }

@@ -6,6 +6,7 @@ use lumisphere::evaluate::{self, Picture, Plan, Rendered as RenderedView, Row};
 use lumisphere::geometry::Camera;
 use lumisphere::images::{ExrStorage, ToneMap, encode_exr_rgb, encode_png, tone_mapped};
 use lumisphere::raytrace::TraceSettings;
+use lumisphere::render::Refine;
 use lumisphere::representations::Settings;
 
 use super::Work;
@@ -56,7 +57,8 @@ impl Work {
             let settings = spec.settings.iter().find(|s| s.settings == *settings).copied();
             let settings = settings.ok_or_else(|| ApiError::internal("an evaluation asked for a setting that was not submitted"))?;
             let output = Output { encoding: Encoding::RawZstd, depth: false, provenance: false };
-            let order = FrameOrder { version: version.clone(), camera: *camera, settings, output, opening_micros: 0 };
+            let order =
+                FrameOrder { version: version.clone(), camera: *camera, settings, output, opening_micros: 0, refine: Refine::Whole };
             let (rendered, _) = self.runtime.block_on(self.frames.render(order, Priority::Batch, None))?;
             let frame = &rendered.value;
             Ok(RenderedView { color: color_image(frame), millis: frame.stats.total_millis })

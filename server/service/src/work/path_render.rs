@@ -1,6 +1,7 @@
 //! Dataset version to frames.
 
 use lumisphere::progress::Progress;
+use lumisphere::render::Refine;
 
 use super::Work;
 use super::views::cameras;
@@ -24,7 +25,8 @@ impl Work {
                 return Err(cancelled());
             }
             let (settings, output) = (spec.settings, spec.output);
-            let order = FrameOrder { version: version.clone(), camera: *camera, settings, output, opening_micros: 0 };
+            let order =
+                FrameOrder { version: version.clone(), camera: *camera, settings, output, opening_micros: 0, refine: Refine::Whole };
             let frame = self.runtime.block_on(self.frames.encoded(order, Priority::Batch, None))?;
             micros.push(frame.timings.render_micros);
             blobs.push(self.keep(format!("frame-{i:05}.{extension}"), media_type, &frame.color)?);

@@ -1,4 +1,4 @@
-// What a pixel sees of the object. Expects `object_triangles` and `object_vertices` from the kernel that includes it.
+// Twin of trace.rs. What a pixel sees of the object. Expects `object_triangles` and `object_vertices` from the kernel that includes it.
 
 struct ObjectVertex {
     x: f32, y: f32, z: f32,

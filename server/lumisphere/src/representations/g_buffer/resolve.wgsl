@@ -1,4 +1,4 @@
-// For tests: the whole G-buffer, laid out as `GBufferPixel` says, two elements a pixel.
+// Twin of rasterize.rs. For tests: the whole G-buffer, laid out as `GBufferPixel` says, two elements a pixel.
 
 @group(2) @binding(0) var<storage, read> object_triangles: array<u32>;
 @group(2) @binding(1) var<storage, read> object_vertices: array<ObjectVertex>;

@@ -18,6 +18,7 @@ mod construct;
 #[cfg(feature = "gpu")]
 mod kernel;
 mod reference;
+mod requests;
 mod sample_points;
 mod shade;
 mod storage;
@@ -36,7 +37,7 @@ use crate::gpu::{Gpu, GpuError};
 #[cfg(feature = "gpu")]
 use crate::representations::GpuKernel;
 use crate::representations::{CpuKernel, Kind, RenderError, Representation};
-use crate::textures::Page;
+use crate::textures::PageShape;
 
 pub use construct::{ConstructError, ConstructSettings, construct};
 #[cfg(all(test, feature = "gpu"))]
@@ -237,6 +238,10 @@ impl Representation for OffsetSurfaceLightField {
         self.page_count()
     }
 
+    fn sample_map_rows(&self) -> (u32, u32) {
+        (self.surface.parts, self.sample_maps.size as u32)
+    }
+
     fn cpu_kernel(self: Arc<Self>) -> Box<dyn CpuKernel> {
         Box::new(reference::Reference::new(self))
     }
@@ -248,8 +253,7 @@ impl Representation for OffsetSurfaceLightField {
 }
 
 // A page must be a face of the announced size before anything indexes into it.
-fn check_page(page: u32, found: &Page, face_size_texels: u32) -> Result<(), RenderError> {
-    let shape = found.shape();
+fn check_page(page: u32, shape: PageShape, face_size_texels: u32) -> Result<(), RenderError> {
     if (shape.width, shape.height) == (face_size_texels, face_size_texels) && shape.channels >= 3 {
         return Ok(());
     }
@@ -259,7 +263,15 @@ fn check_page(page: u32, found: &Page, face_size_texels: u32) -> Result<(), Rend
 impl SampleMaps {
     /// The four candidates at (u, v) in [0, 1]² of `part`, nearest first.
     pub fn at(&self, part: u32, u: f32, v: f32) -> [u16; 4] {
-        let texel = |c: f32| ((c * self.size as f32) as usize).min(self.size - 1);
-        self.indices[(part as usize * self.size + texel(v)) * self.size + texel(u)]
+        self.indices[(part as usize * self.size + self.texel(v)) * self.size + self.texel(u)]
+    }
+
+    /// The row that is read at v.
+    pub fn row(&self, v: f32) -> u32 {
+        self.texel(v) as u32
+    }
+
+    fn texel(&self, c: f32) -> usize {
+        ((c * self.size as f32) as usize).min(self.size - 1)
     }
 }

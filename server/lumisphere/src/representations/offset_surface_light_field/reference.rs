@@ -5,6 +5,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 
 use glam::Vec3;
 
+use super::requests::record_requests;
 use super::shade::{ReadCube, shade_object};
 use super::{OffsetSurfaceLightField, Settings};
 use crate::directions::bilinear_footprint;
@@ -12,9 +13,9 @@ use crate::geometry::Camera;
 use crate::raytrace::Stack;
 use crate::representations::buckets::{PixelResult, render_in_buckets};
 use crate::representations::g_buffer::{GBufferPixel, GBufferTracer, ProxyGeometry, Seen};
-use crate::representations::page_source::CountingSource;
-use crate::representations::{CpuKernel, FrameRequest, Pixels, Provenance, RenderError, Settings as AnySettings};
-use crate::textures::{Page, PageId};
+use crate::representations::page_source::{CountingReader, CountingSource};
+use crate::representations::{CpuKernel, FrameRequest, Pixels, Provenance, Recording, RenderError, Settings as AnySettings, TexelRequest};
+use crate::textures::PageId;
 
 /// The field with its tree of triangles.
 pub(crate) struct Reference {
@@ -72,6 +73,10 @@ impl CpuKernel for Reference {
         frame.pages_needed = touched.count();
         Ok(frame)
     }
+
+    fn record(&self, recording: &Recording<'_>, sink: &mut dyn FnMut(TexelRequest)) -> Result<(), RenderError> {
+        record_requests(&self.field, &self.tracer, recording, sink)
+    }
 }
 
 /// Which pages a frame has read.
@@ -86,55 +91,55 @@ impl PagesTouched {
         self.0[page as usize / 32].fetch_or(1 << (page % 32), Ordering::Relaxed);
     }
 
+    /// At least as many as the frame can read.
+    fn pages(&self) -> usize {
+        32 * self.0.len()
+    }
+
     pub fn count(&self) -> usize {
         self.0.iter().map(|w| w.load(Ordering::Relaxed).count_ones() as usize).sum()
     }
 }
 
-// A power of two; a bucket of 16×16 pixels reads a few dozen pages.
-const PAGES_PER_THREAD: usize = 64;
-
-/// Cube maps in pages, the latest of which one thread keeps, so that most reads take no lock.
+/// Cube maps in pages, read texel by texel.
 pub(super) struct PagedCubes<'a> {
     face_size: u32,
-    source: &'a CountingSource<'a>,
+    reader: CountingReader<'a>,
     touched: &'a PagesTouched,
-    // Page p has its place at p mod PAGES_PER_THREAD.
-    kept: Vec<Option<(u32, Arc<Page>)>>,
+    /// Pages whose shape this thread has checked.
+    checked: Vec<bool>,
 }
 
 impl<'a> PagedCubes<'a> {
     pub fn new(face_size: u32, source: &'a CountingSource<'a>, touched: &'a PagesTouched) -> Self {
-        Self { face_size, source, touched, kept: vec![None; PAGES_PER_THREAD] }
+        Self { face_size, reader: source.reader(), touched, checked: vec![false; touched.pages()] }
     }
 
-    fn page(&mut self, page: u32) -> Result<&Page, RenderError> {
-        let place = page as usize % PAGES_PER_THREAD;
-        let kept = &mut self.kept[place];
-        match kept {
-            Some((p, _)) if *p == page => {}
-            _ => {
-                let fetched = self.source.page(PageId(page))?;
-                super::check_page(page, &fetched, self.face_size)?;
-                self.touched.mark(page);
-                *kept = Some((page, fetched));
+    fn check(&mut self, page: u32) -> Result<(), RenderError> {
+        match self.checked.get_mut(page as usize) {
+            Some(true) => Ok(()),
+            unchecked => {
+                super::check_page(page, self.reader.shape(PageId(page))?, self.face_size)?;
+                if let Some(checked) = unchecked {
+                    *checked = true;
+                    self.touched.mark(page);
+                }
+                Ok(())
             }
-        }
-        match kept {
-            Some((_, page)) => Ok(page),
-            None => unreachable!("filled above"),
         }
     }
 }
 
 impl ReadCube for PagedCubes<'_> {
     fn read_cube(&mut self, cube: u32, direction: Vec3) -> Result<Vec3, RenderError> {
-        let mut radiance = Vec3::ZERO;
-        for (texel, weight) in bilinear_footprint(direction, self.face_size as usize) {
-            let page = self.page(OffsetSurfaceLightField::page(cube as usize, texel.face))?;
-            let [r, g, b, _] = page.texel(texel.column as u32, texel.row as u32);
-            radiance += weight * Vec3::new(r, g, b);
+        let footprint = bilinear_footprint(direction, self.face_size as usize);
+        let mut at = [(PageId(0), 0, 0); 4];
+        for (at, (texel, _)) in at.iter_mut().zip(&footprint) {
+            let page = OffsetSurfaceLightField::page(cube as usize, texel.face);
+            self.check(page)?;
+            *at = (PageId(page), texel.column as u32, texel.row as u32);
         }
-        Ok(radiance)
+        let texels = self.reader.texels(at)?;
+        Ok(texels.iter().zip(&footprint).map(|(t, (_, weight))| *weight * Vec3::from_slice(t)).sum())
     }
 }

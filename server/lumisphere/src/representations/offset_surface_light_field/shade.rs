@@ -98,7 +98,19 @@ pub(super) fn mirror(
     candidates: [u16; 4],
     cubes: &mut dyn ReadCube,
 ) -> Result<Shaded, RenderError> {
-    let r = mirror_direction(n, d);
+    radiance_toward(field, settings, x, n, mirror_direction(n, d), candidates, cubes)
+}
+
+/// The same for any direction `r` (unit) in the mirror direction's place: `C_s Σⱼ βⱼ Lᵢ(pⱼ; r)`.
+pub(super) fn radiance_toward(
+    field: &OffsetSurfaceLightField,
+    settings: &Settings,
+    x: Vec3,
+    n: Vec3,
+    r: Vec3,
+    candidates: [u16; 4],
+    cubes: &mut dyn ReadCube,
+) -> Result<Shaded, RenderError> {
     if settings.blend == Blend::EnvironmentMap {
         let baseline = field.sample_points.len() as u32;
         let radiance = settings.specular_reflectance * cubes.read_cube(baseline, r)?;

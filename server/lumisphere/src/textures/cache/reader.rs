@@ -10,7 +10,7 @@ use super::table::{Part, VersionTable};
 use super::{Cache, Obtained};
 use crate::textures::codec::BLOCK_ROWS;
 use crate::textures::error::StoreError;
-use crate::textures::page::PageId;
+use crate::textures::page::{PageId, PageShape};
 use crate::textures::read_strategy::ReadStrategy;
 use crate::textures::trace::TraceEvent;
 use crate::textures::version::DatasetVersion;
@@ -42,6 +42,8 @@ pub struct Reader<'a> {
     visit_missed: bool,
     look_up_missed: bool,
     counters: CacheStats,
+    /// What was handed on before, and the bytes that its misses read.
+    handed_on: CacheStats,
     /// Runs of rows; None when nothing records.
     runs: Option<Vec<(PageId, u32, u32)>>,
 }
@@ -79,8 +81,30 @@ impl<'a> Reader<'a> {
             visit_missed: false,
             look_up_missed: false,
             counters: CacheStats::default(),
+            handed_on: CacheStats::default(),
             runs: cache.is_recording.load(Ordering::Relaxed).then(Vec::new),
         }
+    }
+
+    /// What this reader asked for so far, and the bytes that its misses read.
+    pub fn counted(&self) -> CacheStats {
+        let mut all = self.handed_on;
+        all.add_events(&self.counters);
+        all
+    }
+
+    /// A page's size and format, from its header; its texels are not read.
+    pub fn shape(&self, page: PageId) -> Result<PageShape, StoreError> {
+        let Some(slots) = self.table.page(page) else { return Err(self.no_page(page)) };
+        if let Some(header) = slots.header.get() {
+            return Ok(header.shape);
+        }
+        let (header, _) = self.version.page_header(page)?;
+        Ok(slots.header.get_or_init(|| Arc::new(header)).shape)
+    }
+
+    fn no_page(&self, page: PageId) -> StoreError {
+        StoreError::NotFound { what: format!("page {page} of {} version {}", self.table.dataset, self.table.version) }
     }
 
     /// One texel: a look-up of one fetch. A page or row that is not there is an error, a column beyond the page a caller's bug.
@@ -223,9 +247,7 @@ impl<'a> Reader<'a> {
     fn miss(&mut self, page: PageId, y: u32) -> Result<Arc<Chunk>, StoreError> {
         self.count_miss();
         let table = self.table.clone();
-        let Some(slots) = table.page(page) else {
-            return Err(StoreError::NotFound { what: format!("page {page} of {} version {}", table.dataset, table.version) });
-        };
+        let Some(slots) = table.page(page) else { return Err(self.no_page(page)) };
         // A visit to a page that lacks the row is a use of it.
         if let Some(partial) = slots.whole.get().filter(|_| !self.is_by_block) {
             self.note_use(page, partial.ticket);
@@ -242,6 +264,7 @@ impl<'a> Reader<'a> {
             found = self.cache.obtain(&alone, &mut || {});
         }
         let Obtained { chunk, cost } = found?;
+        self.handed_on.bytes_read += cost.map_or(0, |cost| cost.bytes_read);
         if cost.is_none() {
             // It came between the look and the counting: another's read has answered.
             self.cache.stripes.count(slots.version, |c| c.coalesced_waits += 1);
@@ -273,6 +296,7 @@ impl<'a> Reader<'a> {
     #[cold]
     fn hand_on(&mut self) {
         let counters = std::mem::take(&mut self.counters);
+        self.handed_on.add_events(&counters);
         let is_full = self.cache.stripes.count_uses(self.table.slot, &self.uses, |c| c.add_events(&counters));
         self.uses.clear();
         if is_full {

@@ -144,6 +144,8 @@ pub struct CacheSnapshot {
     pub compressed: CompressedStats,
     /// Order of eviction of compressed blocks.
     pub compressed_policy: PolicyKind,
+    /// What datasets have that were given no strategy of their own.
+    pub strategy: ReadStrategy,
     /// Every version that was asked for.
     pub versions: Vec<VersionStats>,
 }

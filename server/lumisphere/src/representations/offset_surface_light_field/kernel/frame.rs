@@ -288,7 +288,7 @@ impl Kernel {
         let shape = bound.shape;
         let fetch = |page: &u32| {
             let fetched = pages.page(PageId(*page))?;
-            check_page(*page, &fetched, face_size)?;
+            check_page(*page, fetched.shape(), face_size)?;
             Ok((*page, conform(fetched, shape)?))
         };
         // In batches, so that pages in flight do not fill memory: the source's cache may be small.

@@ -12,7 +12,7 @@ use crate::images::Image;
 use crate::representations::offset_surface_light_field::{
     NO_SAMPLE, OffsetSurfaceLightField, Parameters, SamplePoint, Spacing, SurfaceMesh, build_sample_maps,
 };
-use crate::representations::{Fetched, PageSource};
+use crate::representations::{Fetched, PageSource, TexelReader, WholePages};
 use crate::scenes::{Albedo, Environment, EnvironmentMap, Texture};
 use crate::textures::{Page, PageId, PageShape, PixelFormat, StoreError};
 
@@ -50,6 +50,10 @@ impl PageSource for MemoryPages {
     fn page(&self, page: PageId) -> Result<Fetched, StoreError> {
         let found = self.0.get(page.0 as usize).ok_or_else(|| StoreError::NotFound { what: format!("page {page}") })?;
         Ok(Fetched { page: found.clone(), was_resident: true, bytes_read: 0 })
+    }
+
+    fn reader(&self) -> Box<dyn TexelReader + '_> {
+        Box::new(WholePages::new(self))
     }
 }
 

@@ -1,0 +1,226 @@
+//! `lumisphere cache replay` and `cache report`: other caches' fate under a recorded trace.
+
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+use anyhow::Context as _;
+use clap::Args;
+use lumisphere::textures::laboratory::{Order, Outcome, compare};
+use lumisphere::textures::{Codec, PolicyKind, ReadStrategy, Trace};
+use serde::Serialize;
+
+use crate::chart::{Chart, Line, svg};
+use crate::context::Context;
+use crate::exit::Failure;
+use crate::files::{Existing, write_atomically};
+use crate::output::table;
+
+/// Flags of `cache replay`.
+#[derive(Debug, Args)]
+pub struct Arguments {
+    /// The trace, as `cache record` wrote it
+    #[arg(value_name = "TRACE")]
+    trace: PathBuf,
+    /// Policies: lru, clock, arc, s3_fifo, frame_lru; Belady's optimum (1966) is always beside them [default: all]
+    #[arg(long, value_name = "POLICY", value_delimiter = ',')]
+    policies: Vec<PolicyKind>,
+    /// Read strategies: on_demand, on_demand_restart, half_threshold, full_image, block [default: all]
+    #[arg(long, value_name = "STRATEGY", value_delimiter = ',')]
+    strategies: Vec<ReadStrategy>,
+    /// How pages are stored: zstd-chunk, zstd-seq or lzw-seq
+    #[arg(long, value_name = "CODEC", default_value = "zstd-chunk")]
+    codec: Codec,
+    /// Sizes in pages
+    #[arg(long, value_name = "PAGES", value_delimiter = ',', default_value = "2,4,8,16,32,64,128,256")]
+    sizes: Vec<u32>,
+    /// Which of the trace's parts: 0 the first dataset's pages; a recorded path's sample maps are 1
+    #[arg(long, value_name = "INDEX", default_value_t = 0)]
+    part: u32,
+    /// Write the table as CSV to this file
+    #[arg(long, value_name = "FILE")]
+    out: Option<PathBuf>,
+    /// Overwrite the file
+    #[arg(long)]
+    force: bool,
+}
+
+/// Flags of `cache report`.
+#[derive(Debug, Args)]
+pub struct ReportArguments {
+    /// What `cache replay --out` wrote
+    #[arg(value_name = "CSV")]
+    table: PathBuf,
+    /// The chart to write, SVG
+    #[arg(long, value_name = "FILE")]
+    out: PathBuf,
+    /// Draw this strategy's lines
+    #[arg(long, value_name = "STRATEGY", default_value = "block")]
+    strategy: ReadStrategy,
+    /// Overwrite the file
+    #[arg(long)]
+    force: bool,
+}
+
+/// A line of the table.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+struct Row {
+    strategy: &'static str,
+    policy: &'static str,
+    size_pages: u32,
+    texel_fetches: u64,
+    misses: u64,
+    miss_percent: f64,
+    visits: u64,
+    loads: u64,
+    rows_decoded: u64,
+    bytes_decoded: u64,
+    /// (loads − Belady's) / (LRU's − Belady's); none where LRU is optimal.
+    excess: Option<f64>,
+}
+
+const HEAD: &str = "strategy,policy,size_pages,texel_fetches,misses,miss_percent,visits,loads,rows_decoded,bytes_decoded,excess";
+
+/// Replays and prints.
+pub fn replay(arguments: &Arguments, context: &Context) -> anyhow::Result<()> {
+    let whole = read_trace(&arguments.trace)?;
+    let trace = whole.only(arguments.part).ok_or_else(|| {
+        let names: Vec<_> = whole.versions.iter().map(|v| v.dataset.as_str()).collect();
+        Failure::Usage(format!("--part is {}, the trace has {}: {}", arguments.part, names.len(), names.join(", ")))
+    })?;
+    if trace.is_truncated {
+        context.output.say("the recording reached its limit: the end of what was rendered is missing");
+    }
+    let part = &trace.versions[0];
+    context.output.say(&format!("{} version {}: {} events", part.dataset, part.version, trace.events.len()));
+    let rows = rows(arguments, &trace);
+    if let Some(out) = &arguments.out {
+        write_atomically(out, csv(&rows).as_bytes(), Existing::from_force(arguments.force))?;
+    }
+    context.output.document(&rows, || text(&rows))?;
+    Ok(())
+}
+
+/// A trace file.
+pub fn read_trace(path: &Path) -> anyhow::Result<Trace> {
+    let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
+    Trace::from_bytes(&bytes).map_err(|e| Failure::Usage(format!("{}: {e}", path.display())).into())
+}
+
+fn rows(arguments: &Arguments, trace: &Trace) -> Vec<Row> {
+    let strategies = if arguments.strategies.is_empty() { ReadStrategy::ALL.to_vec() } else { arguments.strategies.clone() };
+    let policies = if arguments.policies.is_empty() { PolicyKind::ALL.to_vec() } else { arguments.policies.clone() };
+    let orders: Vec<Order> = policies.into_iter().map(Order::Policy).chain([Order::Belady]).collect();
+    // A cache of so many pages, as it charges them.
+    let page_bytes = trace.versions[0].shape.resident_bytes() as u64;
+    let sizes: Vec<u64> = arguments.sizes.iter().map(|pages| u64::from(*pages) * page_bytes).collect();
+    let outcomes = compare(trace, arguments.codec, &strategies, &orders, &sizes);
+    outcomes.iter().map(|outcome| row(outcome, (outcome.setting.capacity_bytes / page_bytes) as u32)).collect()
+}
+
+fn row(outcome: &Outcome, size_pages: u32) -> Row {
+    Row {
+        strategy: outcome.setting.strategy.name(),
+        policy: outcome.setting.order.name(),
+        size_pages,
+        texel_fetches: outcome.texel_fetches,
+        misses: outcome.misses,
+        miss_percent: 100.0 * outcome.misses as f64 / outcome.texel_fetches.max(1) as f64,
+        visits: outcome.visits,
+        loads: outcome.loads,
+        rows_decoded: outcome.rows_decoded,
+        bytes_decoded: outcome.bytes_decoded,
+        excess: outcome.excess,
+    }
+}
+
+fn csv(rows: &[Row]) -> String {
+    let mut text = format!("{HEAD}\n");
+    for r in rows {
+        let Row { strategy, policy, size_pages, texel_fetches, misses, miss_percent, visits, loads, rows_decoded, bytes_decoded, excess } =
+            r;
+        let excess = excess.map(|e| e.to_string()).unwrap_or_default();
+        let counts = format!("{texel_fetches},{misses},{miss_percent},{visits},{loads},{rows_decoded},{bytes_decoded}");
+        writeln!(text, "{strategy},{policy},{size_pages},{counts},{excess}").expect("a string takes every line");
+    }
+    text
+}
+
+fn text(rows: &[Row]) -> String {
+    let head = ["strategy", "policy", "pages", "miss % of fetches", "visits", "loads", "decoded MB", "excess over Belady"];
+    let mut cells = vec![head.map(str::to_string).to_vec()];
+    cells.extend(rows.iter().map(|r| {
+        vec![
+            r.strategy.into(),
+            r.policy.into(),
+            r.size_pages.to_string(),
+            format!("{:.3}", r.miss_percent),
+            r.visits.to_string(),
+            r.loads.to_string(),
+            format!("{:.1}", r.bytes_decoded as f64 / 1e6),
+            r.excess.map_or("-".into(), |e| format!("{e:.2}")),
+        ]
+    }));
+    table(&cells, &[2, 3, 4, 5, 6, 7])
+}
+
+/// Draws and says where.
+pub fn report(arguments: &ReportArguments, context: &Context) -> anyhow::Result<()> {
+    let text = std::fs::read_to_string(&arguments.table).with_context(|| format!("cannot read {}", arguments.table.display()))?;
+    let points = points(&text, arguments.strategy).map_err(|e| Failure::Usage(format!("{}: {e}", arguments.table.display())))?;
+    let title = format!("Misses of recorded requests, strategy {}", arguments.strategy);
+    let lines = points.into_iter().map(|(name, points)| Line { name, points }).collect();
+    let chart = svg(&Chart { title: &title, x_label: "cache size in pages", y_label: "misses, % of texel fetches", lines })?;
+    write_atomically(&arguments.out, chart.as_bytes(), Existing::from_force(arguments.force))?;
+    context.output.document(&serde_json::json!({"chart": arguments.out}), || arguments.out.display().to_string())?;
+    Ok(())
+}
+
+type Points = Vec<(f64, f64)>;
+
+/// For each policy: size and miss rate.
+fn points(csv: &str, strategy: ReadStrategy) -> Result<Vec<(String, Points)>, String> {
+    let mut lines = csv.lines();
+    if lines.next() != Some(HEAD) {
+        return Err("no table of `cache replay`: another first line".into());
+    }
+    let mut points: Vec<(String, Points)> = Vec::new();
+    for (number, line) in lines.enumerate() {
+        let cells: Vec<&str> = line.split(',').collect();
+        let bad = || format!("line {}: {line:?} is no line of the table", number + 2);
+        let [of, policy, size, _, _, percent, ..] = cells[..] else { return Err(bad()) };
+        let (size, percent) = size.parse().ok().zip(percent.parse().ok()).ok_or_else(bad)?;
+        if of == strategy.name() {
+            match points.iter_mut().find(|(name, _)| name == policy) {
+                Some((_, line)) => line.push((size, percent)),
+                None => points.push((policy.into(), vec![(size, percent)])),
+            }
+        }
+    }
+    match points.is_empty() {
+        true => Err(format!("nothing of strategy {strategy}")),
+        false => Ok(points),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn row(policy: &'static str, size_pages: u32, miss_percent: f64) -> Row {
+        let counts = (1000, 10, 5, 4, 64, 1 << 20);
+        let (texel_fetches, misses, visits, loads, rows_decoded, bytes_decoded) = counts;
+        let (strategy, excess) = ("block", None);
+        Row { strategy, policy, size_pages, texel_fetches, misses, miss_percent, visits, loads, rows_decoded, bytes_decoded, excess }
+    }
+
+    #[test]
+    fn a_report_reads_what_replay_wrote() {
+        let table = csv(&[row("lru", 2, 20.0), row("belady", 2, 10.0), row("lru", 4, 5.5)]);
+        let read = points(&table, ReadStrategy::Block).unwrap();
+        assert_eq!(read, [("lru".to_string(), vec![(2.0, 20.0), (4.0, 5.5)]), ("belady".to_string(), vec![(2.0, 10.0)])]);
+        assert!(points(&table, ReadStrategy::FullImage).unwrap_err().contains("full_image"));
+        for broken in ["", "a,b\n1,2", &table.replace("lru,4", "lru,four")] {
+            assert!(points(broken, ReadStrategy::Block).is_err(), "{broken}");
+        }
+    }
+}

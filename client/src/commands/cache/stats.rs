@@ -1,0 +1,114 @@
+//! The cache's counters as JSON and as text.
+
+use lumisphere_proto::v1alpha1 as wire;
+use serde_json::{Value, json};
+
+use crate::cache_names::{policy_name, strategy_name, tier_name};
+use crate::output::{bytes_text, table};
+
+/// For programs.
+pub fn json(now: &wire::CacheStats) -> Value {
+    json!({
+        "tiers": now.tiers.iter().map(tier).collect::<Vec<_>>(),
+        "texels": texels(&now.texels.unwrap_or_default()),
+        "datasets": now.datasets.iter().map(dataset).collect::<Vec<_>>(),
+        "strategy": strategy_name(now.strategy()),
+    })
+}
+
+fn tier(t: &wire::CacheTierStats) -> Value {
+    json!({
+        "tier": tier_name(t.tier()),
+        "policy": policy_name(t.policy()),
+        "budget_bytes": t.budget_bytes,
+        "used_bytes": t.used_bytes,
+        "peak_bytes": t.peak_bytes,
+        "entries": t.entries,
+        "look_ups": t.look_ups,
+        "hits": t.hits,
+        "misses": t.misses,
+        "evictions": t.evictions,
+        "bytes_in": t.bytes_in,
+    })
+}
+
+fn texels(t: &wire::TexelStats) -> Value {
+    json!({
+        "look_ups": t.look_ups,
+        "misses": t.misses,
+        "texel_fetches": t.texel_fetches,
+        "texel_misses": t.texel_misses,
+        "page_visits": t.page_visits,
+        "visit_misses": t.visit_misses,
+        "coalesced": t.coalesced,
+        "failed_reads": t.failed_reads,
+        "uncached": t.uncached,
+        "prefetches": t.prefetches,
+        "blocks_read": t.blocks_read,
+        "bytes_read": t.bytes_read,
+        "rows_decoded": t.rows_decoded,
+        "bytes_decoded": t.bytes_decoded,
+        "rows_redundant": t.rows_redundant,
+        "bytes_redundant": t.bytes_redundant,
+        "read_micros": t.read_micros,
+        "decode_micros": t.decode_micros,
+        "wait_micros": t.wait_micros,
+    })
+}
+
+fn dataset(d: &wire::DatasetCacheStats) -> Value {
+    json!({
+        "dataset": d.dataset,
+        "version": d.version,
+        "strategy": strategy_name(d.strategy()),
+        "used_bytes": d.used_bytes,
+        "entries": d.entries,
+        "texels": texels(&d.texels.unwrap_or_default()),
+    })
+}
+
+fn percent(part: u64, whole: u64) -> String {
+    format!("{:.3} %", 100.0 * part as f64 / whole.max(1) as f64)
+}
+
+/// For people.
+pub fn text(now: &wire::CacheStats) -> String {
+    let row = |cells: &[&str]| cells.iter().map(|c| c.to_string()).collect::<Vec<_>>();
+    let mut tiers = vec![row(&["tier", "policy", "used", "of", "peak", "entries", "look-ups", "misses", "miss rate", "evictions"])];
+    tiers.extend(now.tiers.iter().map(|t| {
+        vec![
+            tier_name(t.tier()).into(),
+            policy_name(t.policy()).into(),
+            bytes_text(t.used_bytes),
+            bytes_text(t.budget_bytes),
+            bytes_text(t.peak_bytes),
+            t.entries.to_string(),
+            t.look_ups.to_string(),
+            t.misses.to_string(),
+            percent(t.misses, t.look_ups),
+            t.evictions.to_string(),
+        ]
+    }));
+    let mut datasets =
+        vec![row(&["dataset", "strategy", "used", "texel fetches", "missed", "page visits", "missed", "read", "decoded", "again"])];
+    datasets.extend(now.datasets.iter().map(|d| {
+        let t = d.texels.unwrap_or_default();
+        vec![
+            format!("{}@{}", d.dataset, d.version),
+            strategy_name(d.strategy()).into(),
+            bytes_text(d.used_bytes),
+            t.texel_fetches.to_string(),
+            percent(t.texel_misses, t.texel_fetches),
+            t.page_visits.to_string(),
+            percent(t.visit_misses, t.page_visits),
+            bytes_text(t.bytes_read),
+            bytes_text(t.bytes_decoded),
+            bytes_text(t.bytes_redundant),
+        ]
+    }));
+    let mut text = table(&tiers, &[2, 3, 4, 5, 6, 7, 8, 9]);
+    if datasets.len() > 1 {
+        text += &format!("\n\n{}", table(&datasets, &[2, 3, 4, 5, 6, 7, 8, 9]));
+    }
+    text
+}

@@ -1,0 +1,109 @@
+//! The requests for texels that a frame makes, without reading any: weights and directions do not depend on what is stored.
+
+use glam::{Vec2, Vec3};
+
+use super::shade::{ReadCube, mirror_direction, radiance_toward, shade_object};
+use super::{OffsetSurfaceLightField, Settings};
+use crate::directions::bilinear_footprint;
+use crate::raytrace::{SampleSequence, Stack};
+use crate::representations::g_buffer::{GBufferPixel, GBufferTracer, Seen};
+use crate::representations::{Lobe, Recording, RenderError, Settings as AnySettings, TexelRequest};
+use crate::textures::PageId;
+
+/// Calls `sink` for every request of the frame, in its order.
+pub(super) fn record_requests(
+    field: &OffsetSurfaceLightField,
+    tracer: &GBufferTracer,
+    recording: &Recording<'_>,
+    sink: &mut dyn FnMut(TexelRequest),
+) -> Result<(), RenderError> {
+    let AnySettings::OffsetSurfaceLightField(settings) = recording.settings;
+    let camera = recording.camera;
+    let (width, height) = (camera.intrinsics().width_px, camera.intrinsics().height_px);
+    let mut stack = Stack::new();
+    for (i, j) in recording.order.pixels(width, height) {
+        let pixel = tracer.pixel(camera, i, j, &mut stack);
+        let (Seen::Object { part } | Seen::ObjectBack { part }) = Seen::from_code(pixel.a[2]) else { continue };
+        let row = field.sample_maps.row(pixel.a[1]);
+        sink(TexelRequest::SampleMap { part, row });
+        let ray = camera.pixel_ray(i, j);
+        let mut cubes = Requests { face_size: field.parameters.face_size_texels as usize, sink };
+        match &recording.lobe {
+            None => {
+                shade_object(field, settings, ray.origin, ray.direction, &pixel, &mut cubes)?;
+            }
+            Some(lobe) => glossy(field, settings, lobe, ray.origin, ray.direction, &pixel, u64::from(j) << 32 | u64::from(i), &mut cubes)?,
+        }
+    }
+    Ok(())
+}
+
+/// Reads of every drawn direction above the surface.
+#[allow(clippy::too_many_arguments, reason = "a pixel is seven numbers")]
+fn glossy(
+    field: &OffsetSurfaceLightField,
+    settings: &Settings,
+    lobe: &Lobe,
+    origin: Vec3,
+    direction: Vec3,
+    pixel: &GBufferPixel,
+    number: u64,
+    cubes: &mut Requests<'_>,
+) -> Result<(), RenderError> {
+    let [u, v, code, distance] = pixel.a;
+    let (Seen::Object { part } | Seen::ObjectBack { part }) = Seen::from_code(code) else { return Ok(()) };
+    let n = Vec3::new(pixel.b[0], pixel.b[1], pixel.b[2]);
+    let x = origin + distance * direction;
+    let candidates = field.sample_maps.at(part, u, v);
+    let r = mirror_direction(n, direction);
+    for sample in 0..lobe.samples {
+        let toward = about(r, lobe.exponent, SampleSequence::new(lobe.seed, number, sample).pair());
+        if toward.dot(n) > 0.0 {
+            radiance_toward(field, settings, x, n, toward, candidates, cubes)?;
+        }
+    }
+    Ok(())
+}
+
+/// A direction about `axis` (unit) with density (n + 1)/2π · cosⁿ.
+fn about(axis: Vec3, exponent: f32, u: Vec2) -> Vec3 {
+    let cos = u.x.powf(1.0 / (exponent + 1.0));
+    let sin = (1.0 - cos * cos).max(0.0).sqrt();
+    let (s, t) = axis.any_orthonormal_pair();
+    let around = Vec2::from_angle(std::f32::consts::TAU * u.y) * sin;
+    around.x * s + around.y * t + cos * axis
+}
+
+/// Says what is asked for and answers with black.
+struct Requests<'a> {
+    face_size: usize,
+    sink: &'a mut dyn FnMut(TexelRequest),
+}
+
+impl ReadCube for Requests<'_> {
+    fn read_cube(&mut self, cube: u32, direction: Vec3) -> Result<Vec3, RenderError> {
+        let footprint = bilinear_footprint(direction, self.face_size);
+        let texel = |k: usize| {
+            let texel = footprint[k].0;
+            (PageId(OffsetSurfaceLightField::page(cube as usize, texel.face)), texel.row as u32)
+        };
+        (self.sink)(TexelRequest::LookUp([texel(0), texel(1), texel(2), texel(3)]));
+        Ok(Vec3::ZERO)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// ∫ cos · (n + 1)/2π · cosⁿ over the hemisphere = (n + 1)/(n + 2).
+    #[test]
+    fn a_lobe_has_the_mean_cosine_of_its_density() {
+        let axis = Vec3::new(0.6, -0.64, 0.48);
+        for exponent in [1.0, 10.0, 1000.0] {
+            let cosines = (0..4096).map(|s| about(axis, exponent, SampleSequence::new(3, 5, s).pair()).dot(axis));
+            let mean = cosines.sum::<f32>() / 4096.0;
+            assert!((mean - (exponent + 1.0) / (exponent + 2.0)).abs() < 2e-3 / exponent.sqrt(), "n = {exponent}: {mean}");
+        }
+    }
+}

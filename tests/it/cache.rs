@@ -1,0 +1,196 @@
+//! The texture cache over the wire: counters add up, changes take effect while frames are rendered, traces are recorded and replayed.
+
+use std::fs;
+
+use lumisphere_proto::v1alpha1 as wire;
+use serde_json::Value;
+use tonic::Code;
+use wire::cache_client::CacheClient;
+
+use crate::process::{Server, temporary_folder};
+use crate::tiny::{self, DATASET};
+use crate::wire::{code_and_reason, frame_request};
+
+fn tier<'a>(stats: &'a Value, name: &str) -> &'a Value {
+    stats["tiers"].as_array().unwrap().iter().find(|t| t["tier"] == name).unwrap_or_else(|| panic!("no tier {name} in {stats:#}"))
+}
+
+fn count(value: &Value) -> u64 {
+    value.as_u64().unwrap_or_else(|| panic!("{value} is no count"))
+}
+
+async fn cache(server: &Server) -> CacheClient<tonic::transport::Channel> {
+    CacheClient::new(server.channel().await)
+}
+
+/// A frame on the CPU, texel by texel through the cache.
+fn render(server: &Server, out: &std::path::Path) -> Vec<u8> {
+    let out_text = out.to_str().unwrap();
+    let flags = ["--backend", "cpu", "--component", "mirror", "--format", "exr", "--frames", "1", "--size", "64x48", "--force"];
+    server.succeed(&[&["render", "--dataset", DATASET, "--out", out_text], &flags[..]].concat());
+    fs::read(out.join("frame-00000.exr")).unwrap()
+}
+
+#[test]
+fn every_strategy_policy_and_budget_gives_the_same_pixels_and_counters_that_add_up() {
+    let folder = temporary_folder();
+    let server = Server::start(&folder.path().join("data"));
+    tiny::capture(&server, folder.path());
+    let out = folder.path().join("out");
+    let expected = render(&server, &out);
+    let mut fetches = 0;
+    for (strategy, policy, budget) in [
+        ("block", "lru", "1000000"),
+        ("full_image", "clock", "9000"),
+        ("half_threshold", "arc", "0"),
+        ("on_demand", "s3_fifo", "20000"),
+        ("on_demand_restart", "frame_lru", "20000"),
+    ] {
+        let change = ["cache", "configure", "--strategy", strategy, "--memory-policy", policy, "--memory-budget-bytes", budget];
+        let now = server.json(&change);
+        assert_eq!((now["strategy"].as_str(), tier(&now, "memory")["policy"].as_str()), (Some(strategy), Some(policy)));
+        assert_eq!(render(&server, &out), expected, "{strategy}, {policy}, {budget} bytes");
+        let now = server.json(&["cache", "stats"]);
+        let memory = tier(&now, "memory");
+        assert_eq!(count(&memory["look_ups"]), count(&memory["hits"]) + count(&memory["misses"]), "{now:#}");
+        assert!(count(&memory["used_bytes"]) <= budget.parse().unwrap(), "{now:#}");
+        let texels = &now["datasets"][0]["texels"];
+        assert!(count(&texels["texel_misses"]) <= count(&texels["texel_fetches"]));
+        assert!(count(&texels["texel_fetches"]) > fetches, "{now:#}");
+        fetches = count(&texels["texel_fetches"]);
+    }
+    let cleared = server.json(&["cache", "clear", "--reset-counters"]);
+    assert_eq!((count(&tier(&cleared, "memory")["used_bytes"]), count(&tier(&cleared, "memory")["look_ups"])), (0, 0));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn senseless_changes_are_refused_whole() {
+    let folder = temporary_folder();
+    let server = Server::start(&folder.path().join("data"));
+    let mut cache = cache(&server).await;
+    let refused = [
+        wire::ConfigureCacheRequest { memory_budget_bytes: Some(1 << 50), ..Default::default() },
+        wire::ConfigureCacheRequest { memory_policy: 77, ..Default::default() },
+        wire::ConfigureCacheRequest { strategy: 77, ..Default::default() },
+        wire::ConfigureCacheRequest { dataset: "NOT A NAME".into(), strategy: 1, ..Default::default() },
+    ];
+    for request in refused {
+        let status = cache.configure_cache(request).await.unwrap_err();
+        assert_eq!(status.code(), Code::InvalidArgument, "{status:?}");
+    }
+    let request = wire::ConfigureCacheRequest {
+        dataset: "nothing".into(),
+        strategy: wire::ReadStrategy::Block.into(),
+        memory_budget_bytes: Some(5),
+        ..Default::default()
+    };
+    assert_eq!(cache.configure_cache(request).await.unwrap_err().code(), Code::NotFound);
+    let now = cache.get_cache_stats(wire::GetCacheStatsRequest {}).await.unwrap().into_inner();
+    assert!(now.tiers.iter().all(|t| t.budget_bytes != 5), "a refused change changed the budget");
+    let too_often = wire::WatchCacheStatsRequest { interval_seconds: 1e-9 };
+    assert_eq!(cache.watch_cache_stats(too_often).await.unwrap_err().code(), Code::InvalidArgument);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn watched_counters_follow_what_is_rendered() {
+    let folder = temporary_folder();
+    let server = Server::start(&folder.path().join("data"));
+    tiny::capture(&server, folder.path());
+    let watch = wire::WatchCacheStatsRequest { interval_seconds: 0.05 };
+    let mut changes = cache(&server).await.watch_cache_stats(watch).await.unwrap().into_inner();
+    let look_ups = |stats: wire::CacheStats| stats.texels.unwrap().look_ups;
+    assert_eq!(look_ups(changes.message().await.unwrap().unwrap()), 0);
+    server.rendering().await.render_frame(frame_request(DATASET)).await.unwrap();
+    let seen = tokio::time::timeout(crate::process::PATIENCE, async { while look_ups(changes.message().await.unwrap().unwrap()) == 0 {} });
+    seen.await.expect("the frame's look-ups are told");
+}
+
+#[test]
+fn a_recorded_frame_is_replayed_and_charted() {
+    let folder = temporary_folder();
+    let server = Server::start(&folder.path().join("data"));
+    tiny::capture(&server, folder.path());
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_string();
+    let (trace, csv, chart) = (at("frame.lstr"), at("table.csv"), at("chart.svg"));
+    let record = ["cache", "record", "--dataset", DATASET, "--component", "mirror", "--frames", "2", "--size", "64x48", "--out", &trace];
+    server.succeed(&record);
+    let sizes = ["--sizes", "1,4,16", "--strategies", "on_demand,half_threshold,full_image", "--out", &csv];
+    let rows = server.json(&[&["cache", "replay", &trace], &sizes[..]].concat());
+    let misses = |strategy: &str, policy: &str, size: u64| {
+        let row = rows.as_array().unwrap().iter().find(|r| r["strategy"] == strategy && r["policy"] == policy && r["size_pages"] == size);
+        count(&row.unwrap_or_else(|| panic!("no row {strategy} {policy} {size} in {rows:#}"))["misses"])
+    };
+    for size in [1, 4, 16] {
+        assert!(misses("on_demand", "lru", size) >= misses("half_threshold", "lru", size));
+        assert!(misses("half_threshold", "lru", size) >= misses("full_image", "lru", size));
+        assert!(misses("full_image", "lru", size) >= misses("full_image", "belady", size));
+    }
+    assert!(misses("full_image", "lru", 1) > misses("full_image", "lru", 16), "{rows:#}");
+    server.succeed(&["cache", "report", &csv, "--strategy", "full_image", "--out", &chart]);
+    let svg = fs::read_to_string(&chart).unwrap();
+    assert!(svg.contains("belady") && svg.contains("cache size in pages"));
+
+    // Not a trace, a cut one, one that lies: each is an error that says so.
+    for broken in [b"hello".to_vec(), fs::read(&trace).unwrap()[..40].to_vec()] {
+        fs::write(at("broken"), broken).unwrap();
+        assert_eq!(server.lumisphere(&["cache", "replay", &at("broken")]).status.code(), Some(2));
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn traffic_is_recorded_by_one_at_a_time() {
+    let folder = temporary_folder();
+    let server = Server::start(&folder.path().join("data"));
+    tiny::capture(&server, folder.path());
+    let mut cache = cache(&server).await;
+    let long = wire::RecordTrafficRequest { seconds: 3000.0 };
+    let first = cache.record_traffic(long).await.unwrap();
+    let status = cache.record_traffic(long).await.unwrap_err();
+    assert_eq!(code_and_reason(&status), (Code::Aborted, "RECORDING_BUSY".into()));
+    // Who leaves frees the place.
+    drop(first);
+    let short = wire::RecordTrafficRequest { seconds: 0.3 };
+    let mut second = loop {
+        match cache.record_traffic(short).await {
+            Ok(stream) => break stream.into_inner(),
+            Err(status) => assert_eq!(status.code(), Code::Aborted, "{status:?}"),
+        }
+    };
+    let mut request = frame_request(DATASET);
+    request.settings.as_mut().unwrap().backend = wire::Backend::Cpu.into();
+    server.rendering().await.render_frame(request).await.unwrap();
+    let mut bytes = Vec::new();
+    while let Some(chunk) = second.message().await.unwrap() {
+        bytes.extend_from_slice(&chunk.data);
+    }
+    let trace = lumisphere::textures::Trace::from_bytes(&bytes).unwrap();
+    assert_eq!(trace.versions[0].dataset, DATASET);
+    assert!(trace.events.len() > 10);
+}
+
+#[test]
+fn a_load_test_reports_latency_and_misses_and_leaves_the_cache_as_it_was() {
+    let folder = temporary_folder();
+    let server = Server::start(&folder.path().join("data"));
+    tiny::capture(&server, folder.path());
+    let out = folder.path().join("load");
+    let before = server.json(&["cache", "stats"]);
+    let flags = ["--viewers", "2", "--rate", "40", "--requests", "6", "--size", "48x36", "--component", "mirror", "--backend", "cpu"];
+    let strategies = ["--strategies", "full_image,block", "--quiet", "--out", out.to_str().unwrap()];
+    let report = server.json(&[&["load", "--dataset", DATASET], &flags[..], &strategies].concat());
+    let phases = report["phases"].as_array().unwrap();
+    assert_eq!(phases.len(), 8, "{report:#}");
+    for phase in phases {
+        assert_eq!(count(&phase["frames"]) + count(&phase["refused"]), 12, "{phase:#}");
+        let at = |p: &str| phase["latency_millis"][p].as_f64().unwrap();
+        assert!(0.0 < at("p50") && at("p50") <= at("p99") && at("p99") <= at("max"), "{phase:#}");
+    }
+    let misses = |phase: &str| count(&phases.iter().find(|p| p["phase"] == phase).unwrap()["misses"]);
+    assert!(misses("cold") > 0 && misses("warm") == 0 && misses("larger-than-cache") > 0, "{report:#}");
+    assert!(fs::read_to_string(out.join("load.svg")).unwrap().contains("larger-than-cache"));
+    let after = server.json(&["cache", "stats"]);
+    assert_eq!(after["strategy"], before["strategy"]);
+    assert_eq!(tier(&after, "memory")["budget_bytes"], tier(&before, "memory")["budget_bytes"]);
+    let paper = server.json(&["load", "--dataset", DATASET, "--paper", "--size", "64x48", "--quiet"]);
+    assert_eq!(paper.as_array().unwrap().len(), 22);
+}
