@@ -105,6 +105,17 @@ pub enum Texels {
     F16(Vec<f16>),
 }
 
+/// Two texels from `first` on, and the two a row below.
+#[inline]
+fn gather<const CHANNELS: usize>(numbers: &[f32], first: usize, row: usize) -> [[f32; 4]; 4] {
+    let texel = |at: usize| {
+        let mut texel = [0.0; 4];
+        texel[..CHANNELS].copy_from_slice(&numbers[at..at + CHANNELS]);
+        texel
+    };
+    [texel(first), texel(first + CHANNELS), texel(first + row), texel(first + row + CHANNELS)]
+}
+
 /// A decoded page, or some whole rows of one.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Page {
@@ -166,26 +177,24 @@ impl Page {
         let channels = self.shape.channels as usize;
         let (row, first) = (self.shape.row_values(), y as usize * self.shape.row_values() + x as usize * channels);
         assert!(x + 1 < self.shape.width, "columns {x} and {} of a page {} wide", x + 1, self.shape.width);
-        let mut texels = [[0.0; 4]; 4];
-        for (pair, start) in texels.as_chunks_mut::<2>().0.iter_mut().zip([first, first + row]) {
-            match &self.texels {
-                Texels::F32(v) => {
-                    let both = &v[start..start + 2 * channels];
-                    for (texel, numbers) in pair.iter_mut().zip(both.chunks_exact(channels)) {
-                        for (channel, number) in texel.iter_mut().zip(numbers) {
-                            *channel = *number;
-                        }
-                    }
+        // With the channel count a constant the copies become a few moves.
+        match (&self.texels, channels) {
+            (Texels::F32(v), 3) => gather::<3>(v, first, row),
+            (Texels::F32(v), 4) => gather::<4>(v, first, row),
+            (Texels::F32(v), 2) => gather::<2>(v, first, row),
+            (Texels::F32(v), _) => gather::<1>(v, first, row),
+            (Texels::F16(v), channels) => {
+                let mut numbers = [0.0; 4 * MAX_CHANNELS as usize];
+                let (upper, lower) = numbers.split_at_mut(2 * channels);
+                v[first..first + 2 * channels].convert_to_f32_slice(upper);
+                v[first + row..first + row + 2 * channels].convert_to_f32_slice(&mut lower[..2 * channels]);
+                let mut texels = [[0.0; 4]; 4];
+                for (texel, numbers) in texels.iter_mut().zip(numbers.chunks_exact(channels)) {
+                    texel[..channels].copy_from_slice(numbers);
                 }
-                Texels::F16(v) => {
-                    let both = &v[start..start + 2 * channels];
-                    for (texel, numbers) in pair.iter_mut().zip(both.chunks_exact(channels)) {
-                        numbers.convert_to_f32_slice(&mut texel[..channels]);
-                    }
-                }
+                texels
             }
         }
-        texels
     }
 
     /// These rows with those of `below` under them, of the same width and format.
