@@ -155,6 +155,15 @@ fn a_trace_that_lies_is_refused_or_harmless() {
             Err(_) => refused += 1,
             Ok(trace) => {
                 read += 1;
+                let within = |event: &TraceEvent| match *event {
+                    TraceEvent::Frame => true,
+                    TraceEvent::Page { version, page } => page.0 < trace.versions[version as usize].page_count,
+                    TraceEvent::Row { version, page, row, fetches } => {
+                        let of = &trace.versions[version as usize];
+                        page.0 < of.page_count && row < of.shape.height && fetches > 0
+                    }
+                };
+                assert!(trace.events.iter().all(within));
                 let capacity_bytes = 3 * SHAPE.resident_bytes() as u64;
                 let order = Order::Policy(PolicyKind::Lru);
                 simulate(&trace, Setting { strategy: ReadStrategy::OnDemand, codec: Codec::LzwSeq, order, capacity_bytes });
