@@ -55,16 +55,19 @@ fn a_slow_read_delays_neither_hits_nor_other_reads() {
     let cache = lru(1 << 20);
     cache.page(&published.version, PageId(1)).unwrap();
     let (release, released) = mpsc::channel::<()>();
-    let (released, is_first) = (Mutex::new(released), AtomicBool::new(true));
+    let (begin, begun) = mpsc::channel::<()>();
+    let (released, begin, is_first) = (Mutex::new(released), Mutex::new(begin), AtomicBool::new(true));
     published.disk.on_read(move || {
         if is_first.swap(false, Ordering::SeqCst) {
+            begin.lock().unwrap().send(()).unwrap();
             released.lock().unwrap().recv().unwrap();
         }
         Ok(())
     });
     std::thread::scope(|scope| {
         let slow = scope.spawn(|| cache.page(&published.version, PageId(0)));
-        await_look_ups(&cache, 2);
+        // The slow read is at the disk: none of those below can be taken for it.
+        begun.recv().unwrap();
         // Were any of these blocked, the slow read would never be released and this test would hang.
         check(&cache.page(&published.version, PageId(1)).unwrap(), 1);
         assert_eq!(cache.reader(&published.version).texel(PageId(1), 1, 20).unwrap()[0], number(1, 20, 1, 0));
