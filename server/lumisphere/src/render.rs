@@ -85,6 +85,8 @@ struct GpuTier {
     kernels: Kernels<Box<dyn GpuKernel>>,
     budget_bytes: u64,
     policy: PolicyKind,
+    // Datasets that found too little room, and how much it was: the same room is not tried again.
+    refused: VecDeque<(Arc<dyn Representation>, u64, RenderError)>,
     // Of datasets that left.
     earlier: GpuCacheStats,
     peak_bytes: u64,
@@ -107,8 +109,14 @@ impl Renderer {
     /// Errors when there is no adapter.
     #[cfg(feature = "gpu")]
     pub fn with_gpu(budget_bytes: u64) -> Result<Self, RenderError> {
-        let tier =
-            GpuTier { kernels: Kernels::new(), budget_bytes, policy: PolicyKind::Lru, earlier: GpuCacheStats::default(), peak_bytes: 0 };
+        let tier = GpuTier {
+            kernels: Kernels::new(),
+            budget_bytes,
+            policy: PolicyKind::Lru,
+            refused: VecDeque::new(),
+            earlier: GpuCacheStats::default(),
+            peak_bytes: 0,
+        };
         let gpu = GpuSide { gpu: Arc::new(Gpu::new()?), tier: Mutex::new(tier) };
         Ok(Self { gpu: Some(gpu), ..Self::cpu_only() })
     }
@@ -215,6 +223,9 @@ impl Renderer {
         let outcome = entry.1.render(request, &pages);
         tier.put_back(entry);
         drop(tier);
+        if outcome.is_err() {
+            side.gpu.release_dropped();
+        }
         let (pixels, gpu) = outcome?;
         let stats = FrameStats {
             backend: Backend::Gpu,
@@ -302,7 +313,23 @@ impl GpuTier {
             return Ok(entry);
         }
         while self.held() > self.budget_bytes / 2 && self.give_up_oldest() {}
-        let mut kernel = representation.clone().gpu_kernel(gpu, self.budget_bytes.saturating_sub(self.held()))?;
+        let room = self.budget_bytes.saturating_sub(self.held());
+        if let Some((_, _, error)) = self.refused.iter().find(|(r, tried, _)| Arc::ptr_eq(r, representation) && room <= *tried) {
+            return Err(error.clone());
+        }
+        let mut kernel = match representation.clone().gpu_kernel(gpu, room) {
+            Ok(kernel) => kernel,
+            Err(error) => {
+                let error = RenderError::from(error);
+                self.refused.retain(|(r, ..)| !Arc::ptr_eq(r, representation));
+                self.refused.push_back((representation.clone(), room, error.clone()));
+                if self.refused.len() > CPU_KERNELS {
+                    self.refused.pop_front();
+                }
+                gpu.release_dropped();
+                return Err(error);
+            }
+        };
         kernel.set_policy(self.policy);
         Ok((representation.clone(), kernel))
     }
@@ -347,4 +374,38 @@ fn frame(request: &FrameRequest<'_>, pixels: Pixels, stats: FrameStats) -> Frame
 
 fn millis_since(begin: Instant) -> f64 {
     1e3 * begin.elapsed().as_secs_f64()
+}
+
+#[cfg(all(test, feature = "gpu"))]
+mod tests {
+    use super::*;
+    use crate::representations::offset_surface_light_field as oslf;
+    use oslf::tests::fixture::WORLD;
+
+    #[test]
+    fn a_dataset_without_room_on_the_device_is_tried_once_and_drawn_by_the_cpu() {
+        let Ok(renderer) = Renderer::with_gpu(1000) else {
+            assert!(std::env::var_os("REQUIRE_GPU").is_none(), "no adapter");
+            return;
+        };
+        let (field, pages) = WORLD.build();
+        let camera = WORLD.camera(3.0 * glam::Vec3::Z, glam::Vec3::ZERO, 16, 12);
+        let field: Arc<dyn Representation> = Arc::new(field);
+        let settings = Settings::OffsetSurfaceLightField(oslf::Settings {
+            component: oslf::Component::Mirror,
+            blend: oslf::Blend::Distance,
+            specular_reflectance: glam::Vec3::ONE,
+        });
+        let outputs = Outputs { depth: false, provenance: false };
+        let request = FrameRequest { camera: &camera, settings: &settings, outputs, refine: Refine::Whole };
+        let refused = || renderer.gpu.as_ref().map_or(0, |side| side.tier().refused.len());
+        for _ in 0..3 {
+            let frame = renderer.render(&field, &pages, &request, Some(Backend::Gpu)).unwrap();
+            assert!(frame.stats.backend == Backend::Cpu && frame.stats.fallback.is_some());
+            assert_eq!(refused(), 1);
+        }
+        // With room it is tried again.
+        renderer.set_gpu_budget(1 << 28);
+        assert_eq!(renderer.render(&field, &pages, &request, Some(Backend::Gpu)).unwrap().stats.backend, Backend::Gpu);
+    }
 }

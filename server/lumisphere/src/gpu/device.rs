@@ -60,6 +60,13 @@ impl Gpu {
         self.check()
     }
 
+    /// Lets the device free what was written to and dropped without a submission, which it otherwise keeps until the next one.
+    pub(crate) fn release_dropped(&self) {
+        self.queue.submit([]);
+        // A device that is lost frees nothing, and the next frame says so.
+        let _ = self.wait();
+    }
+
     /// The first failure since the last check, if any.
     pub(crate) fn check(&self) -> Result<(), GpuError> {
         let failure = self.failure.lock().unwrap_or_else(PoisonError::into_inner).take();
