@@ -1,4 +1,5 @@
-// Twin of rasterize.rs. What every pass over a band of a frame shares: which triangle a pixel sees, the lists of pixels by what they see, the finished pixels.
+// Twin of rasterize.rs. What every pass over a band of a frame shares: which triangle a pixel sees, the lists of pixels by what they see,
+// the finished pixels.
 
 // Arguments of an indirect dispatch over a list's pixels, and how many there are.
 struct List {
