@@ -100,6 +100,42 @@ async fn a_stream_gives_frames_for_credits_and_the_latest_pose_wins() {
     );
 }
 
+/// More pages than a viewer's frame waits for: the first one comes at once with coarse texels, the last one is the unary frame's equal.
+#[tokio::test]
+async fn a_viewer_sees_a_coarse_frame_first_and_then_the_whole_one() {
+    let folder = temporary_folder();
+    // Two pages of 16² texels of four f32.
+    let server = Server::start_with(&folder.path().join("data"), &["--gpu-upload-bytes-per-frame", "8192"]);
+    tiny::capture(&server, folder.path());
+    if server.json(&["system", "info"])["adapter"] == "" {
+        assert!(std::env::var_os("REQUIRE_GPU").is_none(), "no adapter");
+        return;
+    }
+    let mut viewer = Viewer::open(&server, 16).await;
+    viewer.pose(1, camera(320, 240)).await;
+    let first = viewer.frame().await;
+    assert!(!first.is_final, "the test needs a dataset whose frame exceeds the cap");
+    let mut last = first.clone();
+    while !last.is_final {
+        viewer.send(Up::Acknowledge(wire::FrameAcknowledgement { frame_id: last.frame_id })).await;
+        last = viewer.frame().await;
+        assert_eq!(last.pose_id, 1);
+    }
+    let request = wire::RenderFrameRequest { camera: Some(camera(320, 240)), ..frame_request(DATASET) };
+    let unary = server.rendering().await.render_frame(request).await.unwrap().into_inner();
+    assert!(unary.is_final);
+    assert_ne!(first.color, last.color, "the coarse frame shows what the whole one does");
+    assert_eq!(unary.color, last.color);
+    let stats = server.json(&["cache", "stats"]);
+    let gpu = stats["tiers"].as_array().unwrap().iter().find(|t| t["tier"] == "gpu").unwrap();
+    let count = |key: &str| gpu[key].as_u64().unwrap();
+    assert!(count("look_ups") > 0 && count("look_ups") == count("hits") + count("misses"), "{gpu:#}");
+    assert!(count("used_bytes") <= count("budget_bytes") && count("bytes_in") > 0, "{gpu:#}");
+    let changed = server.json(&["cache", "configure", "--gpu-policy", "clock", "--gpu-budget-bytes", "200000000"]);
+    let gpu = changed["tiers"].as_array().unwrap().iter().find(|t| t["tier"] == "gpu").unwrap();
+    assert_eq!((gpu["policy"].as_str(), gpu["budget_bytes"].as_u64()), (Some("clock"), Some(200_000_000)));
+}
+
 #[tokio::test]
 async fn a_stream_that_is_not_opened_first_is_refused() {
     let (_folder, server) = with_dataset().await;

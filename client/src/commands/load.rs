@@ -20,6 +20,8 @@ use crate::render_settings::{OutputFlags, SettingsFlags};
 use crate::viewer_path::{PathKind, ViewerPaths};
 use phases::{Phase, Runner, Schedule};
 
+/// Each sleeps in memory until it is due.
+const MAX_REQUESTS: u64 = 1_000_000;
 const REPORT: &str = "load.json";
 const CHART: &str = "load.svg";
 
@@ -77,6 +79,11 @@ pub struct Arguments {
 pub async fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<()> {
     if !(arguments.rate > 0.0 && arguments.rate <= 10_000.0) {
         return Err(Failure::Usage(format!("--rate is {}, above 0 and at most 10000 expected", arguments.rate)).into());
+    }
+    let requests = u64::from(arguments.viewers) * u64::from(arguments.requests);
+    if requests > MAX_REQUESTS {
+        let problem = format!("{} viewers with {} requests each: at most {MAX_REQUESTS} in a phase", arguments.viewers, arguments.requests);
+        return Err(Failure::Usage(problem).into());
     }
     let server = context.connect().await?;
     let version = version_of(context, &server, &arguments.dataset, arguments.version).await?;

@@ -199,7 +199,7 @@ fn frame_text(f: &views::Frame) -> String {
     let t = &f.timings_micros;
     let millis = |micros: u64| micros as f64 / 1e3;
     format!(
-        "{}  {}x{}  {}  {:.1} ms (queue {:.1}, pages {:.1}, render {:.1}, encode {:.1})  cache {} of {} pages",
+        "{}  {}x{}  {}  {:.1} ms (queue {:.1}, pages {:.1}, render {:.1}, encode {:.1})  cache {} of {}",
         f.file,
         f.width_px,
         f.height_px,

@@ -33,6 +33,8 @@ pub struct Config {
     pub gpu_cache_bytes: u64,
     /// Which page leaves the adapter first.
     pub gpu_cache_policy: PolicyKind,
+    /// Texels that a viewer's frame waits for; coarse ones stand in for the rest.
+    pub gpu_upload_bytes_per_frame: u64,
     /// Width · height.
     pub max_pixels_per_frame: u64,
     /// Renders that wait.
@@ -222,6 +224,12 @@ const SETTINGS: &[Setting] = &[
     },
     Setting { key: "gpu_cache_policy", kind: Kind::Choice(POLICIES), default: "\"lru\"", about: "Which page leaves the adapter first" },
     Setting {
+        key: "gpu_upload_bytes_per_frame",
+        kind: Kind::Count { min: 1, max: 1 << 44 },
+        default: "16777216",
+        about: "Texels that a viewer's frame waits for; coarse ones stand in for the rest, and a better frame follows",
+    },
+    Setting {
         key: "read_strategy",
         kind: Kind::Choice(&["on_demand", "on_demand_restart", "half_threshold", "full_image", "block"]),
         default: "\"block\"",
@@ -386,6 +394,7 @@ impl Config {
             },
             gpu_cache_bytes: count("gpu_cache_bytes"),
             gpu_cache_policy: policy("gpu_cache_policy"),
+            gpu_upload_bytes_per_frame: count("gpu_upload_bytes_per_frame"),
             max_pixels_per_frame: count("max_pixels_per_frame"),
             render_queue_length: size("render_queue_length"),
             max_sessions: size("max_sessions"),

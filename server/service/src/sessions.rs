@@ -31,8 +31,6 @@ const DEFAULT_CREDITS: u32 = 2;
 const MAX_CREDITS: u32 = 16;
 /// A wish that found the render queue full tries again after this time.
 const QUEUE_RETRY: Duration = Duration::from_millis(20);
-/// Texels that a viewer's frame may wait for: about 30 ms of reading and uploading on a software adapter. Coarse ones stand in for the rest.
-const INTERACTIVE: Refine = Refine::UpTo { upload_bytes: 16 << 20 };
 /// Messages between the session and the connection: one on its way, one ready. A client that stops reading stops the session.
 const OUTBOX: usize = 2;
 
@@ -249,14 +247,9 @@ impl Session {
     }
 
     async fn render(&self, camera: Camera, wish: &Wish, pose_id: u64, frame_id: u64) -> Result<proto::Frame, ApiError> {
-        let order = FrameOrder {
-            version: self.version.clone(),
-            camera,
-            settings: wish.settings,
-            output: wish.output,
-            opening_micros: 0,
-            refine: INTERACTIVE,
-        };
+        let refine = Refine::UpTo { upload_bytes: self.app.config.gpu_upload_bytes_per_frame };
+        let (version, settings, output) = (self.version.clone(), wish.settings, wish.output);
+        let order = FrameOrder { version, camera, settings, output, opening_micros: 0, refine };
         let begun = Instant::now();
         let frame = self.app.frames.encoded(order, Priority::Viewer, None).await?;
         tracing::debug!(frame_id, pose_id, micros = begun.elapsed().as_micros() as u64, "frame");

@@ -85,6 +85,11 @@ impl RequestTrace {
         }
     }
 
+    /// Whether something was left out for want of room.
+    pub fn is_full(&self) -> bool {
+        self.trace.is_truncated
+    }
+
     /// What was recorded.
     pub fn finish(self) -> Trace {
         self.trace

@@ -56,7 +56,12 @@ impl Cache for Api {
 
     async fn clear_cache(&self, request: Request<proto::ClearCacheRequest>) -> Result<Response<proto::CacheStats>, Status> {
         let app = self.0.clone();
-        app.catalog.clear_cache();
+        let catalog = app.catalog.clone();
+        blocking(move || {
+            catalog.clear_cache();
+            Ok(())
+        })
+        .await?;
         if app.adapter.is_some() {
             app.frames.with_gpu_tier(empty_gpu_tier).await?;
         }
@@ -175,12 +180,12 @@ impl Wish {
             trace.begin_frame();
             let recording = Recording { camera, settings: &self.settings, order: self.order, lobe: self.lobe };
             kernel.record(&recording, &mut |request| trace.push(request))?;
+            if trace.is_full() {
+                let problem = "the recording is too large: fewer cameras, pixels or lobe samples expected";
+                return Err(ApiError::new(Reason::TraceTooLarge, problem));
+            }
         }
-        let trace = trace.finish();
-        match trace.is_truncated {
-            true => Err(ApiError::new(Reason::TraceTooLarge, "the recording is too large: fewer cameras, pixels or lobe samples expected")),
-            false => Ok(trace),
-        }
+        Ok(trace.finish())
     }
 }
 
