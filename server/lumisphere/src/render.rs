@@ -11,7 +11,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
 #[cfg(feature = "gpu")]
-use crate::gpu::{Gpu, GpuCacheStats};
+use crate::gpu::{Gpu, GpuCacheStats, GpuError};
 #[cfg(feature = "gpu")]
 use crate::representations::GpuKernel;
 use crate::representations::{CountingSource, CpuKernel};
@@ -320,9 +320,13 @@ impl GpuTier {
         let mut kernel = match representation.clone().gpu_kernel(gpu, room) {
             Ok(kernel) => kernel,
             Err(error) => {
+                let is_for_want_of_room = matches!(error, GpuError::OverBudget { .. });
                 let error = RenderError::from(error);
-                self.refused.retain(|(r, ..)| !Arc::ptr_eq(r, representation));
-                self.refused.push_back((representation.clone(), room, error.clone()));
+                // A device that failed may work again; a room that was too small stays so.
+                if is_for_want_of_room {
+                    self.refused.retain(|(r, ..)| !Arc::ptr_eq(r, representation));
+                    self.refused.push_back((representation.clone(), room, error.clone()));
+                }
                 if self.refused.len() > CPU_KERNELS {
                     self.refused.pop_front();
                 }

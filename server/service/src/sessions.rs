@@ -227,9 +227,9 @@ impl Session {
                     // Before it can be acknowledged.
                     self.sent.store(sent + 1, Ordering::SeqCst);
                     slot.send(Ok(response(Down::Frame(frame))));
-                    // The wish stays due: a better frame of it follows, if no newer wish comes before.
-                    if !is_final {
-                        continue;
+                    // Else the wish stays due: a better frame of it follows, if no newer wish comes before.
+                    if is_final {
+                        shown = wish.revision;
                     }
                 }
                 // The wish stays due: a viewer at rest sends nothing that would ask again.
@@ -238,9 +238,11 @@ impl Session {
                     tokio::time::sleep(QUEUE_RETRY).await;
                     continue;
                 }
-                Err(error) => slot.send(Ok(response(Down::Status(status(&error, pose_id))))),
+                Err(error) => {
+                    slot.send(Ok(response(Down::Status(status(&error, pose_id)))));
+                    shown = wish.revision;
+                }
             }
-            shown = wish.revision;
             self.app.metrics.poses_overtaken.inc_by((wish.poses - poses_shown).saturating_sub(1));
             poses_shown = wish.poses;
         }
