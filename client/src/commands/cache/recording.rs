@@ -14,6 +14,7 @@ use crate::exit::Failure;
 use crate::files::{Existing, write_atomically};
 use crate::output::bytes_text;
 use crate::render_settings::SettingsFlags;
+use crate::viewer_path::{PathKind, ViewerPaths};
 
 /// Flags of `cache record`.
 #[derive(Debug, Args)]
@@ -39,6 +40,9 @@ pub struct Arguments {
     /// The lobe's density is the cosine to this power
     #[arg(long, value_name = "N", default_value_t = 40.0)]
     lobe_exponent: f32,
+    /// The first --frames places of a wandering viewer, as `load --path walk` has it, in place of the orbit
+    #[arg(long, conflicts_with_all = ["path", "cameras", "position", "traffic_seconds"])]
+    walk: bool,
     #[command(flatten)]
     cameras: CameraFlags,
     #[command(flatten)]
@@ -91,11 +95,11 @@ pub async fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<()>
 async fn frames(arguments: &Arguments, context: &Context, server: &Server) -> anyhow::Result<Vec<u8>> {
     let dataset = arguments.dataset.clone().expect("clap requires it where there are no seconds");
     let version = version_of(context, server, &dataset, arguments.version).await?;
-    let cameras = arguments.cameras.cameras(version.object_bounds.as_ref())?;
+    let cameras = cameras(arguments, version.object_bounds.as_ref())?;
     let request = wire::RecordTraceRequest {
         dataset,
         version: version.version,
-        cameras: cameras.into_iter().map(|(_, camera)| camera).collect(),
+        cameras,
         settings: Some(arguments.settings.to_wire()),
         order: arguments.order.to_wire().into(),
         lobe_samples: arguments.lobe_samples,
@@ -103,6 +107,16 @@ async fn frames(arguments: &Arguments, context: &Context, server: &Server) -> an
         seed: 0,
     };
     collected(server.cache().record_trace(context.patient_request(request)).await?.into_inner()).await
+}
+
+fn cameras(arguments: &Arguments, bounds: Option<&wire::Box3>) -> anyhow::Result<Vec<wire::Camera>> {
+    if !arguments.walk {
+        return Ok(arguments.cameras.cameras(bounds)?.into_iter().map(|(_, camera)| camera).collect());
+    }
+    let orbit = &arguments.cameras.orbit;
+    let bounds = *bounds.ok_or_else(|| Failure::Precondition("the dataset tells no object's box to walk around".into()))?;
+    let paths = ViewerPaths { kind: PathKind::Walk, orbit, bounds, viewers: 1, cameras: &[], seed: 0 };
+    (0..u64::from(orbit.frames)).map(|step| paths.camera(0, step)).collect()
 }
 
 /// The whole file.

@@ -6,21 +6,27 @@
 //! g++ -O3 -march=native docs/rivals/oiio_textures.cpp -lOpenImageIO -lOpenImageIO_Util -o target/oiio_textures
 //! python3 -m venv target/oiio && target/oiio/bin/pip install OpenImageIO==3.2.2.0 numpy
 //! cargo build --release --manifest-path docs/rivals/cache_policies/Cargo.toml --target-dir target/rivals
-//! LUMISPHERE_SHARED_DATA=… cargo bench -p lumisphere --no-default-features --bench texture_cache
+//! for r in 'orbit --frames 36 --component full' 'walk --walk --frames 36 --component full' 'glossy --frames 1 --component mirror --lobe-samples 16'; do
+//!   lumisphere cache record --dataset d --size 320x240 --out target/recordings/${r%% *}.lstr ${r#* }; done
+//! LUMISPHERE_SHARED_DATA=… RECORDINGS=target/recordings cargo bench -p lumisphere --no-default-features --bench texture_cache
 //! ```
-//! `OIIO_TEXTURES`, `OIIO_PYTHON` and `CACHE_POLICIES` name the rivals when they lie elsewhere. A missing one fails the benchmark. The
-//! texels are three photographed environments of the data pack, resampled to cube maps at random rotations.
+//! Names of parts (sizes, misses, hits, strategies, policies, writes) after `--` run only these. `OIIO_TEXTURES`, `OIIO_PYTHON` and `CACHE_POLICIES` name the rivals when they lie elsewhere. A missing one fails the benchmark. The recordings
+//! are of a server's dataset `d`, an offset surface light field. The texels are three photographed environments of the data pack, resampled to cube maps at random rotations.
 
 mod data;
 mod rivals;
 mod traces;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
 use lumisphere::textures::laboratory::{Order, Setting, simulate};
-use lumisphere::textures::{Cache, CacheOptions, Codec, DatasetVersion, PageId, PixelFormat, PolicyKind, ReadStrategy, encode, encode_as};
+use lumisphere::textures::{
+    BLOCK_ROWS, Cache, CacheOptions, Codec, DatasetVersion, PageId, PageShape, PixelFormat, PolicyKind, ReadStrategy, Trace, encode,
+    encode_as,
+};
 
 use self::data::{FACE_BYTES, FACES, SIZE, cpu_seconds};
 use self::rivals::Values;
@@ -29,21 +35,41 @@ use self::rivals::Values;
 const CACHE_FACES: u64 = 64;
 
 fn main() {
+    let parts: Vec<String> = std::env::args().skip(1).filter(|argument| !argument.starts_with("--")).collect();
+    let wants = |part: &str| parts.is_empty() || parts.iter().any(|wanted| wanted == part);
     let folder = data::folder();
+    if wants("policies") {
+        policies(&folder);
+    }
+    if ["sizes", "misses", "hits", "strategies", "writes"].iter().any(|part| wants(part)) {
+        texels(&folder, wants);
+    }
+}
+
+/// All that needs the faces.
+fn texels(folder: &Path, wants: impl Fn(&str) -> bool) {
     let faces = data::faces();
-    let versions = data::stored(&folder, &faces);
+    let versions = data::stored(folder, &faces);
     let (random, warm) = (traces::random(4000), traces::warm(400_000));
     data::write_numbers(&folder.join("random.u32"), &random);
     data::write_numbers(&folder.join("warm.u32"), &warm);
-    let oiio = rivals::oiio_textures(&folder);
-    let python = rivals::oiio_misses(&folder);
-
-    sizes(&faces, &oiio);
-    misses(&versions, &random, &oiio, &python);
-    hits(&versions["zstd-chunk f32"], &warm, &oiio);
-    strategies(&versions);
-    policies(&folder);
-    writes(&folder, &faces);
+    let oiio = rivals::oiio_textures(folder);
+    let python = rivals::oiio_misses(folder);
+    if wants("sizes") {
+        sizes(&faces, &oiio);
+    }
+    if wants("misses") {
+        misses(&versions, &random, &oiio, &python);
+    }
+    if wants("hits") {
+        hits(&versions["zstd-chunk f32"], &warm, &oiio);
+    }
+    if wants("strategies") {
+        strategies(&versions);
+    }
+    if wants("writes") {
+        writes(folder, &faces);
+    }
 }
 
 fn bound(what: &str, ratio: f64, most: f64) {
@@ -54,7 +80,7 @@ fn sizes(faces: &[f32], oiio: &Values) {
     println!("\nbytes of {FACES} faces of {SIZE}², RGB");
     let shape = data::shape(PixelFormat::F32);
     let stored = |codec, pixel| -> f64 {
-        let shape = lumisphere::textures::PageShape { pixel, ..shape };
+        let shape = PageShape { pixel, ..shape };
         let page = |texels| encode_as(codec, &shape, texels).expect("a face").payload_bytes() as f64;
         faces.chunks_exact(shape.values()).map(page).sum()
     };
@@ -184,36 +210,47 @@ fn strategies(versions: &BTreeMap<String, Arc<DatasetVersion>>) {
     }
 }
 
-fn policies(folder: &std::path::Path) {
-    println!("\nmisses of whole pages at equal bytes; the default, lru, against the best of all but Belady");
-    for (name, trace) in traces::rendered() {
-        let visits = traces::visits(&trace);
-        data::write_numbers(&folder.join("visits.u32"), &visits);
-        println!("  {name}: {} visits", visits.len());
-        let capacities = [8u64, 16, 32, 64, 128];
-        let theirs = rivals::cache_policies(folder, &capacities);
-        let (mut of_default, mut of_best) = (0, 0);
-        for capacity in capacities {
-            let misses = |order| {
-                let strategy = ReadStrategy::FullImage;
-                let capacity_bytes = capacity * trace.versions[0].shape.resident_bytes() as u64;
-                simulate(&trace, Setting { strategy, codec: Codec::ZstdChunk, order, capacity_bytes }).loads
-            };
-            let ours: Vec<(String, u64)> = PolicyKind::ALL.map(|kind| (kind.name().into(), misses(Order::Policy(kind)))).into();
-            let kept: Vec<(String, u64)> =
-                theirs.iter().filter(|r| r.capacity == capacity && r.most <= capacity).map(|r| (r.name.clone(), r.misses)).collect();
-            let (best_name, best) = ours.iter().chain(&kept).min_by_key(|(_, misses)| *misses).expect("there are policies");
-            let all: Vec<String> = ours.iter().chain(&kept).map(|(name, misses)| format!("{name} {misses}")).collect();
-            println!("    {capacity} pages: {}, belady {}; best {best_name}", all.join(", "), misses(Order::Belady));
-            of_default += misses(Order::Policy(PolicyKind::Lru));
-            of_best += best;
+/// Recorded faces through every policy and rival that holds no more than it may, as whole pages and in blocks.
+fn policies(folder: &Path) {
+    let recordings = PathBuf::from(std::env::var_os("RECORDINGS").expect("RECORDINGS names the folder of the recordings"));
+    println!("\nmisses at equal bytes; the default, lru, against the best of all but Belady");
+    for name in ["orbit", "walk", "glossy"] {
+        let trace = traces::recorded(&recordings.join(name).with_extension("lstr"));
+        for strategy in [ReadStrategy::FullImage, ReadStrategy::Block] {
+            compare_policies(folder, name, &trace, strategy);
         }
-        bound(&format!("{name}: lru / best, all sizes"), of_default as f64 / of_best as f64, 1.02);
+    }
+}
+
+fn compare_policies(folder: &Path, name: &str, trace: &Trace, strategy: ReadStrategy) {
+    let visits = traces::visits(trace, strategy);
+    data::write_numbers(&folder.join("visits.u32"), &visits);
+    let shape = trace.versions[0].shape;
+    // As many units as make so many pages, all of one size.
+    let (units, unit) = match strategy {
+        ReadStrategy::Block => (shape.height.div_ceil(BLOCK_ROWS), PageShape { height: shape.height.min(BLOCK_ROWS), ..shape }),
+        _ => (1, shape),
+    };
+    println!("  {name}, {strategy}: {} visits of {}", visits.len(), visits.iter().collect::<BTreeSet<_>>().len());
+    let capacities = [8u64, 16, 32, 64, 128, 256].map(|pages| pages * u64::from(units));
+    let theirs = rivals::cache_policies(folder, &capacities);
+    for capacity in capacities {
+        let misses = |order| {
+            let capacity_bytes = capacity * unit.resident_bytes() as u64;
+            simulate(trace, Setting { strategy, codec: Codec::ZstdChunk, order, capacity_bytes }).loads
+        };
+        let ours: Vec<(String, u64)> = PolicyKind::ALL.map(|kind| (kind.name().into(), misses(Order::Policy(kind)))).into();
+        let kept: Vec<(String, u64)> =
+            theirs.iter().filter(|r| r.capacity == capacity && r.most <= capacity).map(|r| (r.name.clone(), r.misses)).collect();
+        let (best_name, best) = ours.iter().chain(&kept).min_by_key(|(_, misses)| *misses).expect("there are policies");
+        let all: Vec<String> = ours.iter().chain(&kept).map(|(name, misses)| format!("{name} {misses}")).collect();
+        println!("    {capacity}: {}, belady {}; best {best_name}", all.join(", "), misses(Order::Belady));
+        bound("lru / best", misses(Order::Policy(PolicyKind::Lru)) as f64 / *best as f64, 1.02);
     }
 }
 
 /// 512 pages in batches of 32, each batch durable before the next begins. Wall time: it is the disk's.
-fn writes(folder: &std::path::Path, faces: &[f32]) {
+fn writes(folder: &Path, faces: &[f32]) {
     let shape = data::shape(PixelFormat::F32);
     let pages: Vec<_> = faces.chunks_exact(shape.values()).take(512).map(|texels| encode(&shape, texels).expect("a face")).collect();
     let (mut ours, mut theirs) = (f64::INFINITY, f64::INFINITY);

@@ -1,9 +1,10 @@
-//! Requests as rendering makes them: a view of a sphere of sample points with cube maps, after the offset surface light field. The
-//! three points nearest to what a pixel sees are read in turn. Synthetic: geometry and order are the renderer's, the object is a sphere.
+//! Requests: random ones, coherent ones over the faces that are stored, and those that were recorded of real rendering.
+
+use std::path::Path;
 
 use glam::Vec3;
-use lumisphere::directions::{bilinear_footprint, face_from_direction};
-use lumisphere::textures::{PageId, PageShape, PixelFormat, Trace, TraceEvent, TracedVersion};
+use lumisphere::directions::face_from_direction;
+use lumisphere::textures::{BLOCK_ROWS, ReadStrategy, Trace, TraceEvent};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg32;
 
@@ -81,42 +82,6 @@ fn in_buckets(pixels: u32) -> impl Iterator<Item = (u32, u32)> {
     (0..buckets * buckets).flat_map(move |b| (0..256).map(move |k| (b % buckets * 16 + k % 16, b / buckets * 16 + k / 16)))
 }
 
-fn version(pages: u32) -> TracedVersion {
-    let shape = PageShape { width: SIZE, height: SIZE, channels: 4, pixel: PixelFormat::F16 };
-    TracedVersion { dataset: "sphere".into(), version: 1, page_count: pages, shape }
-}
-
-/// Frames from several eyes; `lobe` directions around the mirrored one a pixel.
-fn frames(eyes: impl Iterator<Item = Vec3>, pixels: u32, lobe: u32) -> Trace {
-    let points = SamplePoints::new(1156);
-    let mut rng = Pcg32::seed_from_u64(4);
-    let mut events = Vec::new();
-    for eye in eyes {
-        events.push(TraceEvent::Frame);
-        for (i, j) in in_buckets(pixels) {
-            let Some((x, mirrored)) = reflection(eye, pixels, i, j) else { continue };
-            let nearest = points.nearest(x);
-            for _ in 0..lobe {
-                let direction = if lobe == 1 { mirrored } else { around(mirrored, &mut rng) };
-                for cube in nearest {
-                    for (texel, _) in bilinear_footprint(direction, SIZE as usize) {
-                        let page = PageId(cube * 6 + texel.face as u32);
-                        push(&mut events, page, texel.row as u32);
-                    }
-                }
-            }
-        }
-    }
-    Trace { versions: vec![version(1156 * 6)], events, is_truncated: false }
-}
-
-fn push(events: &mut Vec<TraceEvent>, page: PageId, row: u32) {
-    match events.last_mut() {
-        Some(TraceEvent::Row { page: last, row: last_row, fetches, .. }) if (*last, *last_row) == (page, row) => *fetches += 1,
-        _ => events.push(TraceEvent::Row { version: 0, page, row, fetches: 1 }),
-    }
-}
-
 /// A cos⁴⁰ lobe.
 fn around(axis: Vec3, rng: &mut Pcg32) -> Vec3 {
     let cosine = rng.random_range(0.0..1.0f32).powf(1.0 / 41.0);
@@ -126,26 +91,30 @@ fn around(axis: Vec3, rng: &mut Pcg32) -> Vec3 {
     sine * (angle.cos() * tangent + angle.sin() * bitangent) + cosine * axis
 }
 
-/// Orbit, walk and glossy.
-pub fn rendered() -> [(&'static str, Trace); 3] {
-    let orbit = (0..6).map(|k| {
-        let angle = 0.05 * k as f32;
-        Vec3::new(2.55 * angle.cos(), 1.3, 2.55 * angle.sin())
-    });
-    let walk = (0..6).map(|k| (3.6 - 0.25 * k as f32) * Vec3::new(0.7, -0.5, 0.5));
-    let glossy = std::iter::once(Vec3::new(2.2, -1.6, 1.3));
-    [("orbit", frames(orbit, 160, 1)), ("walk", frames(walk, 160, 1)), ("glossy", frames(glossy, 128, 16))]
+/// The faces that a recording of `lumisphere cache record` asks for; its other part, the sample maps, is left out.
+pub fn recorded(path: &Path) -> Trace {
+    let bytes = std::fs::read(path)
+        .unwrap_or_else(|error| panic!("recording missing, see the head of this benchmark: {}: {error}", path.display()));
+    let trace = Trace::from_bytes(&bytes).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+    assert!(!trace.is_truncated, "{} ends before what was rendered", path.display());
+    trace.only(0).expect("a recording of some dataset")
 }
 
-/// The pages in the order of their visits.
-pub fn visits(trace: &Trace) -> Vec<u32> {
-    let page = |event: &TraceEvent| if let TraceEvent::Row { page, .. } = event { Some(page.0) } else { None };
-    let mut visits: Vec<Option<u32>> = trace.events.iter().map(page).collect();
+/// What is cached as one, whole pages or blocks, in the order of their visits.
+pub fn visits(trace: &Trace, strategy: ReadStrategy) -> Vec<u32> {
+    let blocks = trace.versions[0].shape.height.div_ceil(BLOCK_ROWS);
+    let unit = |event: &TraceEvent| match *event {
+        TraceEvent::Row { page, row, .. } if strategy == ReadStrategy::Block => Some(page.0 * blocks + row / BLOCK_ROWS),
+        TraceEvent::Row { page, .. } | TraceEvent::Page { page, .. } => Some(page.0),
+        TraceEvent::Frame => None,
+    };
+    let mut visits: Vec<Option<u32>> = trace.events.iter().map(unit).collect();
     visits.dedup();
     visits.into_iter().flatten().collect()
 }
 
-/// Glossy look-ups (face, x, y) over the faces that are stored: 128 cubes.
+/// Glossy look-ups (face, x, y) over the faces that are stored: a view of a sphere of 128 sample points with cube maps, after the offset
+/// surface light field; the three points nearest to what a pixel sees are read in turn.
 pub fn glossy_look_ups() -> Vec<u32> {
     let points = SamplePoints::new(FACES / 6);
     let mut rng = Pcg32::seed_from_u64(5);

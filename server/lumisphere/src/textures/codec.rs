@@ -1,7 +1,6 @@
 //! Texels ↔ stored bytes. One file a codec; all cut a page into pieces of 16 rows, each under its own xxh3.
 //!
-//! `zstd-chunk`: every piece is a zstd frame of its own, so any rows can be read alone. `zstd-seq`: one zstd frame a page, flushed after
-//! each piece, so that it can be decoded up to any row but only from the start. `lzw-seq`: TIFF's LZW over the plain numbers, the codec
+//! `zstd-chunk`: every piece is packed on its own, so any rows can be read alone. `zstd-seq`: one zstd frame a page, flushed after each piece, so that it can be decoded up to any row but only from the start. `lzw-seq`: TIFF's LZW over the plain numbers, the codec
 //! of the paper whose read strategies the cache has (offset surface light fields), sequential too and exact to the row.
 //!
 //! Before zstd the numbers pass through [`planes`], a reversible transform. Lossless for f32; f16 loses only what rounding loses.
@@ -20,7 +19,7 @@ use xxhash_rust::xxh3::xxh3_64;
 
 use super::error::StoreError;
 use super::page::{Page, PageShape, PixelFormat, Texels};
-use super::planes;
+use super::planes::{self, Relation};
 
 /// Rows in a block; the last block of a page may have fewer.
 pub const BLOCK_ROWS: u32 = 16;
@@ -100,6 +99,27 @@ impl FromStr for Codec {
 
     fn from_str(name: &str) -> Result<Self, UnknownCodec> {
         Self::ALL.into_iter().find(|codec| codec.name() == name).ok_or_else(|| UnknownCodec(name.into()))
+    }
+}
+
+/// How the blocks of a record are laid out. The numbers are the record's version on disk.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Layout {
+    /// Every codec's first; `zstd-chunk` has a block's planes in one frame.
+    Together = 1,
+    /// `zstd-chunk` with each plane on its own.
+    Apart = 2,
+}
+
+impl Layout {
+    /// What is written.
+    pub fn of(codec: Codec) -> Self {
+        if codec == Codec::ZstdChunk { Self::Apart } else { Self::Together }
+    }
+
+    /// From the version on disk.
+    pub fn from_number(number: u16, codec: Codec) -> Option<Self> {
+        [Self::Together, Self::of(codec)].into_iter().find(|layout| *layout as u16 == number)
     }
 }
 
@@ -195,6 +215,7 @@ const CHANGED: &str = "checksum mismatch";
 /// What decoding is given: a page's header, and its compressed blocks where they are at hand.
 pub(super) struct Source<'s, 'a> {
     pub codec: Codec,
+    pub layout: Layout,
     pub shape: PageShape,
     pub table: &'s [Block],
     /// Compressed bytes of a block of [`Codec::blocks_for`]; None where the file ends before.
@@ -235,29 +256,39 @@ pub(super) fn decode(source: &Source<'_, '_>, rows: Range<u32>) -> Result<Page, 
 }
 
 /// Appends the byte planes of some rows.
-fn split_rows(shape: &PageShape, texels: &Texels, rows: Range<u32>, planes: &mut Vec<u8>) {
+fn split_rows(shape: &PageShape, texels: &Texels, rows: Range<u32>, relation: Relation, planes: &mut Vec<u8>) {
     let (channels, row_values) = (shape.channels as usize, shape.row_values());
     let values = rows.start as usize * row_values..rows.end as usize * row_values;
     match texels {
-        Texels::F32(v) => planes::split::<u32>(bytemuck::cast_slice(&v[values]), channels, row_values, planes),
-        Texels::F16(v) => planes::split::<u16>(bytemuck::cast_slice(&v[values]), channels, row_values, planes),
+        Texels::F32(v) => planes::split::<u32>(bytemuck::cast_slice(&v[values]), channels, row_values, relation, planes),
+        Texels::F16(v) => planes::split::<u16>(bytemuck::cast_slice(&v[values]), channels, row_values, relation, planes),
+    }
+}
+
+/// Under which relation some rows' planes will be smaller.
+fn best_relation(shape: &PageShape, texels: &Texels, rows: Range<u32>) -> Relation {
+    let (channels, row_values) = (shape.channels as usize, shape.row_values());
+    let values = rows.start as usize * row_values..rows.end as usize * row_values;
+    match texels {
+        Texels::F32(v) => planes::best_relation::<u32>(bytemuck::cast_slice(&v[values]), channels, row_values),
+        Texels::F16(v) => planes::best_relation::<u16>(bytemuck::cast_slice(&v[values]), channels, row_values),
     }
 }
 
 /// Appends the rows whose byte planes these are.
-fn join_rows(shape: &PageShape, planes: &[u8], texels: &mut Texels) {
+fn join_planes(shape: &PageShape, planes: &[&[u8]], relation: Relation, texels: &mut Texels) {
     let (channels, row_values) = (shape.channels as usize, shape.row_values());
-    let values = planes.len() / shape.pixel.bytes();
+    let values = planes[0].len();
     match texels {
         Texels::F32(v) => {
             let start = v.len();
             v.resize(start + values, 0.0);
-            planes::join::<u32>(planes, channels, row_values, bytemuck::cast_slice_mut(&mut v[start..]));
+            planes::join::<u32>(planes, channels, row_values, relation, bytemuck::cast_slice_mut(&mut v[start..]));
         }
         Texels::F16(v) => {
             let start = v.len();
             v.resize(start + values, f16::ZERO);
-            planes::join::<u16>(planes, channels, row_values, bytemuck::cast_slice_mut(&mut v[start..]));
+            planes::join::<u16>(planes, channels, row_values, relation, bytemuck::cast_slice_mut(&mut v[start..]));
         }
     }
 }

@@ -2,7 +2,7 @@
 //!
 //! A record, little-endian, padded to 8 bytes:
 //! ```text
-//!  0 magic "LSPG"   4 version u16   6 codec u8    7 pixel u8
+//!  0 magic "LSPG"   4 layout u16    6 codec u8    7 pixel u8
 //!  8 page u32      12 width u32    16 height u32  20 channels u32
 //! 24 blocks u32    28 payload bytes u32           32 xxh3 u64 of bytes 0…32 and of the block table
 //! 40 block table: {offset u32, length u32, xxh3 u64} each, then the payload
@@ -16,7 +16,7 @@ use std::sync::Arc;
 
 use xxhash_rust::xxh3::{Xxh3, xxh3_64};
 
-use super::codec::{self, Block, Codec, EncodedPage, Source};
+use super::codec::{self, Block, Codec, EncodedPage, Layout, Source};
 use super::disk::Disk;
 use super::error::{At, StoreError};
 use super::hash::ContentHash;
@@ -25,7 +25,6 @@ use super::page::{Page, PageId, PageShape, PixelFormat};
 /// A segment is closed before it would grow beyond this.
 pub const MAX_SEGMENT_BYTES: u64 = 256 << 20;
 const MAGIC: [u8; 4] = *b"LSPG";
-const RECORD_VERSION: u16 = 1;
 /// Bytes of a header before its block table.
 const FIXED_BYTES: usize = 40;
 const ENTRY_BYTES: usize = 16;
@@ -50,6 +49,7 @@ pub(super) struct Header {
     pub page: PageId,
     pub shape: PageShape,
     pub codec: Codec,
+    pub layout: Layout,
     pub blocks: Vec<Block>,
     payload_bytes: u32,
     pub checksum: u64,
@@ -85,10 +85,9 @@ impl Header {
         if header_checksum(&fixed[..32], table) != checksum {
             return Err("header checksum mismatch");
         }
-        let codec = match (u16::from_le_bytes([fixed[4], fixed[5]]), Codec::from_number(fixed[6])) {
-            (RECORD_VERSION, Some(codec)) => codec,
-            _ => return Err("a record version or codec that this program does not know"),
-        };
+        let codec = Codec::from_number(fixed[6]).ok_or("a codec that this program does not know")?;
+        let layout = Layout::from_number(u16::from_le_bytes([fixed[4], fixed[5]]), codec);
+        let layout = layout.ok_or("a record version that this program does not know")?;
         let pixel = match fixed[7] {
             1 => PixelFormat::F32,
             2 => PixelFormat::F16,
@@ -99,6 +98,7 @@ impl Header {
             page: PageId(u32_at(8)),
             shape,
             codec,
+            layout,
             blocks: table.chunks_exact(ENTRY_BYTES).map(block_entry).collect(),
             payload_bytes: u32_at(28),
             checksum,
@@ -128,7 +128,7 @@ fn record_bytes(page: PageId, encoded: &EncodedPage) -> (Vec<u8>, u64) {
     let shape = encoded.shape;
     let mut record = Vec::with_capacity(FIXED_BYTES + encoded.blocks.len() * ENTRY_BYTES + encoded.payload.len() + 8);
     record.extend_from_slice(&MAGIC);
-    record.extend_from_slice(&RECORD_VERSION.to_le_bytes());
+    record.extend_from_slice(&(Layout::of(encoded.codec) as u16).to_le_bytes());
     record.extend_from_slice(&[encoded.codec as u8, shape.pixel as u8]);
     for word in [page.0, shape.width, shape.height, shape.channels, encoded.blocks.len() as u32, encoded.payload.len() as u32] {
         record.extend_from_slice(&word.to_le_bytes());
@@ -331,7 +331,7 @@ pub(super) fn decode_rows(header: &Header, rows: Range<u32>, bytes: &[u8], first
 
 /// The same from blocks that lie anywhere.
 pub(super) fn decode_packed<'a>(header: &Header, rows: Range<u32>, packed: &dyn Fn(u32) -> Option<&'a [u8]>) -> Result<Page, BadRecord> {
-    let source = Source { codec: header.codec, shape: header.shape, table: &header.blocks, packed };
+    let source = Source { codec: header.codec, layout: header.layout, shape: header.shape, table: &header.blocks, packed };
     codec::decode(&source, rows).map_err(|bad| BadRecord { rows: Some(bad.rows), reason: bad.reason })
 }
 

@@ -7,8 +7,9 @@ use std::ops::Range;
 use zstd::stream::raw::{Decoder, InBuffer, Operation, OutBuffer};
 use zstd::stream::write::Encoder;
 
-use super::{BadBlock, EncodedPage, Source, ZSTD_LEVEL, block_count, block_rows, join_rows, reserve_rows, split_rows};
+use super::{BadBlock, EncodedPage, Source, ZSTD_LEVEL, block_count, block_rows, join_planes, reserve_rows, split_rows};
 use crate::textures::page::Texels;
+use crate::textures::planes::Relation;
 
 thread_local! {
     // A context and its window are some hundred kilobytes: one a thread.
@@ -24,7 +25,7 @@ pub(super) fn pack(texels: &Texels, page: &mut EncodedPage) {
     let mut planes = Vec::new();
     for block in 0..block_count(&shape) {
         planes.clear();
-        split_rows(&shape, texels, block_rows(&shape, block), &mut planes);
+        split_rows(&shape, texels, block_rows(&shape, block), Relation::None, &mut planes);
         encoder.write_all(&planes).expect(written);
         encoder.flush().expect(written);
         ends.push(encoder.get_ref().len());
@@ -55,7 +56,12 @@ pub(super) fn unpack(source: &Source<'_, '_>, rows: &Range<u32>, texels: &mut Te
                 return Err(source.bad(index, "not a zstd frame of the right length"));
             }
             if index >= first {
-                join_rows(shape, planes, texels);
+                let mut each = [&[][..]; 4];
+                let each = &mut each[..shape.pixel.bytes()];
+                for (plane, bytes) in each.iter_mut().zip(planes.chunks_exact(planes.len() / shape.pixel.bytes())) {
+                    *plane = bytes;
+                }
+                join_planes(shape, each, Relation::None, texels);
             }
         }
         Ok(first * super::BLOCK_ROWS)

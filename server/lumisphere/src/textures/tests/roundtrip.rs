@@ -43,7 +43,7 @@ fn through_codec(codec: Codec, shape: &PageShape, texels: &[f32], rows: std::ops
         let block = encoded.blocks[index as usize];
         needed.contains(&index).then(|| &encoded.payload[block.offset as usize..(block.offset + block.length) as usize])
     };
-    let source = codec::Source { codec, shape: *shape, table: &encoded.blocks, packed: &packed };
+    let source = codec::Source { codec, layout: codec::Layout::of(codec), shape: *shape, table: &encoded.blocks, packed: &packed };
     codec::decode(&source, rows).unwrap()
 }
 
@@ -175,4 +175,51 @@ fn shapes_that_cannot_be_stored_are_refused() {
     refused(4, 4, 5, 80);
     refused(4, 4, 3, 47);
     refused(u32::MAX, u32::MAX, 4, 0);
+}
+
+/// Records as they were written when all planes of a block were in one frame.
+#[test]
+fn records_of_the_first_version_are_read() {
+    let records = [
+        (
+            shape(5, 18, 3, PixelFormat::F32),
+            "4c535047010001010000000005000000120000000300000002000000bc000000610f1651ea4ae88d00000000720000001b259848e7ef900a720000\
+             004a0000006e706f1cf9b1272328b52ffd60c0024503000403000000ffff80007f4000807f80400000ff800000403f00ff4000007e0101017d007f\
+             000001007d027e7e017e0102027e1400011078710a421827a05aa8506520830a6b2027a0645428f2dc104021003a81025a01010b06284032061d08\
+             814e40815410d8754428b52ffd20780d020032c40a10d0a5030000006b49b9005a2c40145ba6f3b024423d0f4912d64b84a4ece39d5f5930def73a\
+             83cd3ccf070800416d784988d9a0a60320a0bbf742d800e000000000",
+        ),
+        (
+            shape(3, 17, 4, PixelFormat::F16),
+            "4c5350470100010200000000030000001100000004000000020000006a0000001c9d1888c07451a80000000049000000694664d50f9fb29e490000\
+             002100000016d832b552ae868628b52ffd608000fd010014020000ff00ff00ffffff0000780f7a0714056f030b681209700c07030b7473787a070b\
+             000053139519a0814a91a3ca7302030003a33207b4a8d473a92c4728b52ffd2018c1000000ff0000ff0000ff0000ffff747378780f127a090c7c07\
+             73000000000000",
+        ),
+    ];
+    for (shape, hex) in records {
+        let record: Vec<u8> = (0..hex.len() / 2).map(|i| u8::from_str_radix(&hex[2 * i..2 * i + 2], 16).unwrap()).collect();
+        let checksum = u64::from_le_bytes(record[32..40].try_into().unwrap());
+        let (page, header) = segment::decode_record(&record, PageId(0), checksum).map_err(|bad| bad.reason).unwrap();
+        assert_eq!((page.shape(), header.layout), (shape, codec::Layout::Together));
+        let written: Vec<f32> = (0..shape.values()).map(|i| 0.25 * (i % 7) as f32).collect();
+        assert_eq!(page.to_f32(), written);
+    }
+}
+
+/// Channels that change together are kept as differences; others are not made worse by it.
+#[test]
+fn blocks_take_the_relation_of_their_channels_that_is_smaller() {
+    let shape = shape(64, 32, 3, PixelFormat::F16);
+    let noise = |i: usize| ((i as u32).wrapping_mul(0x9E37_79B9) >> 16) as f32 / 65536.0;
+    // Grey in the upper block; in the lower one only the second channel changes.
+    let texel = |i: usize| if i < 64 * 16 { [0.5 + 0.5 * noise(i); 3] } else { [1.0, 0.5 + 0.5 * noise(i), 1.0] };
+    let texels: Vec<f32> = (0..64 * 32).flat_map(texel).collect();
+    let encoded = encode(&shape, &texels).unwrap();
+    let relations: Vec<u8> = encoded.blocks.iter().map(|block| encoded.payload[block.offset as usize]).collect();
+    assert_eq!(relations, [1, 0]);
+    let halves: Vec<f32> = texels.iter().map(|v| f16::from_f32(*v).to_f32()).collect();
+    assert_eq!(through_codec(Codec::ZstdChunk, &shape, &texels, 0..32).to_f32(), halves);
+    // The channels that say nothing new take next to no bytes: one noisy plane of 64 · 16 bytes and a part of the other a block.
+    assert!(encoded.blocks.iter().all(|block| block.length < 2 * 64 * 16), "{:?}", encoded.blocks);
 }
