@@ -1,48 +1,41 @@
 // Sorts a band's pixels by what they see, and finishes those that do not see the object: background and environment. Twin of trace.rs.
 // Each kind has its own list and its own dispatch, since lanes of a processor would otherwise pay for every kind at every pixel.
 
-struct Material {
-    albedo: vec3<f32>,
-    first_level: u32,
-    emission: vec3<f32>,
-    level_count: u32,
-    texels_per_length: f32,
-    unknown: u32,
-    padding: vec2<u32>,
-}
-
-struct Level {
-    first_texel: u32,
-    width: u32,
-    height: u32,
-    padding: u32,
-}
-
-struct BackgroundVertex {
-    x: f32, y: f32, z: f32,
-    normal_x: f32, normal_y: f32, normal_z: f32,
-    u: f32, v: f32,
-    material: u32,
-    front_r: f32, front_g: f32, front_b: f32,
-    back_r: f32, back_g: f32, back_b: f32,
-}
-
 @group(1) @binding(0) var environment: texture_2d<f32>;
-@group(1) @binding(1) var<storage, read> materials: array<Material>;
-@group(1) @binding(2) var<storage, read> levels: array<Level>;
+// Tables in textures, of 16 or 8 bytes an element: a processor reads such a texel at once, where it reads each word of a buffer apart.
+// Three corners and the material; the first triangle is number `camera.object_end`.
+@group(1) @binding(1) var background_triangles: texture_2d<u32>;
+// VERTEX_TEXELS a vertex, by the constants below.
+@group(1) @binding(2) var background_vertices: texture_2d<f32>;
+// MATERIAL_TEXELS a material: emission and texels per length, as bits of f32; first level and how many.
+@group(1) @binding(3) var materials: texture_2d<u32>;
+// First texel, width, height.
+@group(1) @binding(4) var levels: texture_2d<u32>;
 // R and G, B and nothing, as pairs of f16.
-@group(1) @binding(3) var<storage, read> texels: array<vec2<u32>>;
-// Three corners a triangle; the first is number `camera.object_end`.
-@group(1) @binding(4) var<storage, read> background_triangles: array<u32>;
-@group(1) @binding(5) var<storage, read> background_vertices: array<BackgroundVertex>;
+@group(1) @binding(5) var texels: texture_2d<u32>;
+
+// Elements of a table in a row of its texture.
+const ROW_BITS: u32 = 12u;
+const MATERIAL_TEXELS: u32 = 2u;
+const VERTEX_TEXELS: u32 = 4u;
+// Position and u.
+const POSITION: u32 = 0u;
+// Normal and v.
+const NORMAL: u32 = 1u;
+// On each side: the radiance itself where there is no texture, else irradiance / π; and 1 where the surface is not diffuse.
+const FRONT: u32 = 2u;
+const BACK: u32 = 3u;
 
 // Whether the background's triangles shaded now have textures.
 override TEXTURED: bool = false;
 
-const FRAC_1_PI: f32 = 0.318309886183791;
 const LEAST_COSINE: f32 = 0.05;
 // Pixels that one invocation sorts: it adds to each list once, since lists are shared by all.
 const RUN: u32 = 32u;
+
+fn place_of(element: u32) -> vec2<u32> {
+    return vec2(element & ((1u << ROW_BITS) - 1u), element >> ROW_BITS);
+}
 
 fn list_of(at: vec2<u32>) -> u32 {
     let seen = visible_triangle(at);
@@ -87,16 +80,17 @@ fn wrapped(at: i32, n: u32) -> u32 {
     return u32(select(below, below - i32(n), below >= i32(n)));
 }
 
-fn level_texel(level: Level, column: i32, row: i32) -> vec3<f32> {
-    let packed = texels[level.first_texel + wrapped(row, level.height) * level.width + wrapped(column, level.width)];
+fn level_texel(level: vec4<u32>, column: i32, row: i32) -> vec3<f32> {
+    let texel = level.x + wrapped(row, level.z) * level.y + wrapped(column, level.y);
+    let packed = textureLoad(texels, place_of(texel), 0);
     return vec3(unpack2x16float(packed.x), unpack2x16float(packed.y).x);
 }
 
 fn level_color(index: u32, uv: vec2<f32>) -> vec3<f32> {
-    let level = levels[index];
+    let level = textureLoad(levels, place_of(index), 0);
     let repeated = uv - floor(uv);
-    let x = repeated.x * f32(level.width) - 0.5;
-    let y = (1.0 - repeated.y) * f32(level.height) - 0.5;
+    let x = repeated.x * f32(level.y) - 0.5;
+    let y = (1.0 - repeated.y) * f32(level.z) - 0.5;
     let x0 = floor(x);
     let y0 = floor(y);
     let fx = x - x0;
@@ -126,37 +120,33 @@ struct BackgroundPoint {
     unknown: bool,
 }
 
-fn corner_position(v: BackgroundVertex) -> vec3<f32> {
-    return vec3(v.x, v.y, v.z);
-}
-
-fn corner_normal(v: BackgroundVertex) -> vec3<f32> {
-    return vec3(v.normal_x, v.normal_y, v.normal_z);
-}
-
-fn corner_irradiance(v: BackgroundVertex, front: bool) -> vec3<f32> {
-    return select(vec3(v.back_r, v.back_g, v.back_b), vec3(v.front_r, v.front_g, v.front_b), front);
+fn corner(vertex: u32, what: u32) -> vec4<f32> {
+    return textureLoad(background_vertices, place_of(VERTEX_TEXELS * vertex + what), 0);
 }
 
 fn background_point(direction: vec3<f32>, triangle: u32) -> BackgroundPoint {
-    let a = background_vertices[background_triangles[3u * triangle]];
-    let b = background_vertices[background_triangles[3u * triangle + 1u]];
-    let c = background_vertices[background_triangles[3u * triangle + 2u]];
-    let at = meet(direction, corner_position(a), corner_position(b), corner_position(c));
+    let corners = textureLoad(background_triangles, place_of(triangle), 0);
+    let a = corner(corners.x, POSITION);
+    let b = corner(corners.y, POSITION);
+    let c = corner(corners.z, POSITION);
+    let at = meet(direction, a.xyz, b.xyz, c.xyz);
     let w = at.weights;
-    let uv = w.x * vec2(a.u, a.v) + w.y * vec2(b.u, b.v) + w.z * vec2(c.u, c.v);
-    let irradiance = w.x * corner_irradiance(a, at.front) + w.y * corner_irradiance(b, at.front) + w.z * corner_irradiance(c, at.front);
-    let material = materials[a.material];
-    var albedo = material.albedo;
-    if TEXTURED && material.level_count > 0u {
-        let normal = w.x * corner_normal(a) + w.y * corner_normal(b) + w.z * corner_normal(c);
-        let cosine = abs(dot(normalize_or(normal, -direction), direction));
-        let footprint = material.texels_per_length * at.distance * camera.pixel_angle / sqrt(max(cosine, LEAST_COSINE));
-        albedo = texture_color(material.first_level, material.level_count, uv, footprint);
+    let side = select(BACK, FRONT, at.front);
+    let shown = corner(corners.x, side);
+    var radiance = w.x * shown.xyz + w.y * corner(corners.y, side).xyz + w.z * corner(corners.z, side).xyz;
+    let normal = w.x * corner(corners.x, NORMAL) + w.y * corner(corners.y, NORMAL) + w.z * corner(corners.z, NORMAL);
+    let uv = vec2(w.x * a.w + w.y * b.w + w.z * c.w, normal.w);
+    if TEXTURED {
+        let surface = textureLoad(materials, place_of(MATERIAL_TEXELS * corners.w), 0);
+        let texture = textureLoad(materials, place_of(MATERIAL_TEXELS * corners.w + 1u), 0);
+        if texture.y > 0u {
+            let cosine = abs(dot(normalize_or(normal.xyz, -direction), direction));
+            let footprint = bitcast<f32>(surface.w) * at.distance * camera.pixel_angle / sqrt(max(cosine, LEAST_COSINE));
+            let emission = select(vec3(0.0), bitcast<vec3<f32>>(surface.xyz), at.front);
+            radiance = emission + radiance * texture_color(texture.x, texture.y, uv, footprint);
+        }
     }
-    let emission = select(vec3(0.0), material.emission, at.front);
-    let radiance = emission + albedo * irradiance * FRAC_1_PI;
-    return BackgroundPoint(uv, at.distance, radiance, material.unknown == 1u);
+    return BackgroundPoint(uv, at.distance, radiance, shown.w == 1.0);
 }
 
 @compute @workgroup_size(64)

@@ -9,6 +9,10 @@
 //! Background: `L = emission (front only) + albedo / π · E`, E the irradiance baked at the vertices on the side that is seen. Textures
 //! are read trilinearly from a pyramid in f16, the level chosen from the pixel's size on the surface (distance × pixel angle ÷ √cos).
 
+#[cfg(all(test, feature = "gpu"))]
+mod background_equals_rays;
+#[cfg(feature = "gpu")]
+mod background_tables;
 #[cfg(feature = "gpu")]
 mod rasterize;
 mod texture_pyramid;
@@ -96,8 +100,7 @@ pub(crate) struct ObjectVertex {
 }
 
 /// A corner of a proxy.
-#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
-#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct BackgroundVertex {
     pub position: [f32; 3],
     pub normal: [f32; 3],
@@ -108,9 +111,8 @@ pub(crate) struct BackgroundVertex {
     pub irradiance_back: [f32; 3],
 }
 
-/// How a proxy's light is coloured. Layout as WGSL's `Material`.
-#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
-#[repr(C)]
+/// How a proxy's light is coloured.
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Material {
     pub albedo: [f32; 3],
     /// First level of the albedo's pyramid.
@@ -122,7 +124,6 @@ pub(crate) struct Material {
     pub texels_per_length: f32,
     /// 1 for surfaces that are not diffuse.
     pub unknown: u32,
-    pub padding: [u32; 2],
 }
 
 /// The object and what is around it, in the form that both twins draw from. Triangles wind as their normals point.
@@ -172,7 +173,6 @@ impl ProxyGeometry {
                 level_count,
                 texels_per_length: texels_per_length(&proxy.mesh, size),
                 unknown: u32::from(proxy.albedo.is_none() && proxy.emission == Vec3::ZERO),
-                padding: [0; 2],
             });
             geometry.add_proxy(&proxy.mesh, &proxy.irradiance);
         }
@@ -276,12 +276,6 @@ mod tests {
                 padding
             }
         );
-        assert_same_layout!(
-            G_BUFFER_SOURCE,
-            "Material",
-            Material { albedo, first_level, emission, level_count, texels_per_length, unknown, padding }
-        );
-        assert_same_layout!(G_BUFFER_SOURCE, "Level", texture_pyramid::Level { first_texel, width, height, padding });
     }
 
     #[test]

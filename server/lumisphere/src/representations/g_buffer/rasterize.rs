@@ -9,6 +9,7 @@ use bytemuck::{Pod, Zeroable};
 use glam::Vec3;
 use wgpu::util::DeviceExt;
 
+use super::background_tables::BackgroundTables;
 use super::visible_triangles::{Corner, VisibleTriangles};
 use super::{ProxyGeometry, pixel_angle};
 use crate::geometry::Camera;
@@ -141,26 +142,17 @@ impl Rasterizer {
     pub fn new(gpu: &Gpu, geometry: &ProxyGeometry) -> Result<Self, GpuError> {
         let triangles = VisibleTriangles::new(geometry);
         let limit = gpu.device().limits().max_buffer_size;
-        let background = geometry.background_vertices.as_slice();
-        let needed = size_of_val(triangles.corners.as_slice()).max(size_of_val(background)) as u64;
+        let needed = size_of_val(triangles.corners.as_slice()) as u64;
         if needed > limit {
             return Err(GpuError::BeyondLimit { what: "the proxy geometry in bytes", needed, limit });
         }
-        gpu.check_binding("the background's textures", size_of_val(geometry.pyramids.texels.as_slice()) as u64)?;
-        gpu.check_binding("the background's vertices", size_of_val(background) as u64)?;
         let shader = Shader::new(gpu, "g-buffer", SOURCE, &[&band_entries(), &background_entries()]);
         let (environment, environment_turn) = environment_texture(gpu, &geometry.environment)?;
         let none = wgpu::BufferUsages::empty();
-        let buffers = [
-            storage_buffer(gpu, "materials", &geometry.materials, none),
-            storage_buffer(gpu, "levels", &geometry.pyramids.levels, none),
-            storage_buffer(gpu, "texels", &geometry.pyramids.texels, none),
-            storage_buffer(gpu, "background triangles", &triangles.background, none),
-            storage_buffer(gpu, "background vertices", background, none),
-        ];
+        let tables = BackgroundTables::new(gpu, geometry, &triangles.background)?;
+        let views = tables.views();
         let view = environment.create_view(&wgpu::TextureViewDescriptor::default());
-        let mut resources = vec![wgpu::BindingResource::TextureView(&view)];
-        resources.extend(buffers.iter().map(wgpu::Buffer::as_entire_binding));
+        let resources: Vec<_> = [&view].into_iter().chain(&views).map(wgpu::BindingResource::TextureView).collect();
         let resources = shader.bind(gpu, 1, &resources);
         let object_triangles = storage_buffer(gpu, "object triangles", &geometry.object_triangles, none);
         let object_vertices = storage_buffer(gpu, "object vertices", &geometry.object_vertices, none);
@@ -170,8 +162,8 @@ impl Rasterizer {
         let visibility_shader = Shader::new(gpu, "visibility", VISIBILITY_SOURCE, &[&[binding::uniform(0)]]);
         let camera_only = visibility_shader.bind(gpu, 0, &[camera.as_entire_binding()]);
         let environment_bytes = u64::from(environment.width()) * u64::from(environment.height()) * 16;
-        let counted = buffers.iter().chain([&object_triangles, &object_vertices, &corners, &indices]);
-        let bytes = environment_bytes + counted.map(wgpu::Buffer::size).sum::<u64>();
+        let buffers = [&object_triangles, &object_vertices, &corners, &indices];
+        let bytes = environment_bytes + tables.bytes() + buffers.into_iter().map(wgpu::Buffer::size).sum::<u64>();
         let background = |textured: f64| shader.compute_pipeline(gpu, "background", &[("TEXTURED", textured)]);
         let finish =
             [(background(0.0), PLAIN_LIST), (background(1.0), TEXTURED_LIST), (shader.compute_pipeline(gpu, "sky", &[]), SKY_LIST)];
@@ -337,9 +329,8 @@ fn band_bindings<'a>(
     [camera.as_entire_binding(), visibility, work.as_entire_binding(), output.as_entire_binding()]
 }
 
-fn background_entries() -> [wgpu::BindGroupLayoutEntry; 6] {
-    let buffer = binding::read_buffer;
-    [binding::texture(0), buffer(1), buffer(2), buffer(3), buffer(4), buffer(5)]
+fn background_entries() -> Vec<wgpu::BindGroupLayoutEntry> {
+    [binding::texture(0)].into_iter().chain(BackgroundTables::entries()).collect()
 }
 
 fn visibility_pipeline(gpu: &Gpu, shader: &Shader) -> wgpu::RenderPipeline {

@@ -7,7 +7,7 @@ use half::f16;
 
 use crate::scenes::Texture;
 
-/// One level of one texture. Layout as WGSL's `Level`.
+/// One level of one texture. On the device its four words are an element of a table.
 #[derive(Debug, Clone, Copy, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
 #[repr(C)]
 pub(crate) struct Level {
@@ -27,7 +27,7 @@ pub(crate) struct TexturePyramids {
     of_texture: Vec<Range<usize>>,
 }
 
-// Twelve million texels of 8 bytes: below the smallest storage binding a device may offer (128 MiB).
+// Twelve million texels of 8 bytes, 96 MiB: backgrounds are not worth more of the device.
 const MAX_TEXELS: usize = 12 << 20;
 
 impl TexturePyramids {
