@@ -130,10 +130,26 @@ fn a_recorded_frame_is_replayed_and_charted() {
     let svg = fs::read_to_string(&chart).unwrap();
     assert!(svg.contains("belady") && svg.contains("cache size in pages"));
 
+    // A wandering viewer's first places are not the orbit's.
+    let walk = at("walk.lstr");
+    server.succeed(&[&record[..record.len() - 1], &[&walk, "--walk"]].concat());
+    assert_ne!(fs::read(&walk).unwrap(), fs::read(&trace).unwrap());
+
     // Not a trace, a cut one, one that lies: each is an error that says so.
     for broken in [b"hello".to_vec(), fs::read(&trace).unwrap()[..40].to_vec()] {
         fs::write(at("broken"), broken).unwrap();
         assert_eq!(server.lumisphere(&["cache", "replay", &at("broken")]).status.code(), Some(2));
+    }
+
+    // Over the data itself, which must not be in use.
+    let timed = ["--json", "cache", "replay", &trace, "--sizes", "4", "--policies", "lru", "--data-dir", &at("data")];
+    let mut timed = server.lumisphere_command(&timed);
+    assert!(!timed.output().unwrap().status.success());
+    assert_eq!(server.stop(), Some(0));
+    let output = timed.output().unwrap();
+    let rows: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap_or_else(|_| panic!("{output:?}"));
+    for row in rows.as_array().unwrap() {
+        assert_eq!(row["millis"].as_f64().is_some_and(|millis| millis > 0.0), row["policy"] == "lru", "{row}");
     }
 }
 

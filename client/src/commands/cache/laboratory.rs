@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use clap::Args;
-use lumisphere::textures::laboratory::{Order, Outcome, compare};
-use lumisphere::textures::{Codec, PolicyKind, ReadStrategy, Trace};
+use lumisphere::textures::laboratory::{self, Order, Outcome, compare};
+use lumisphere::textures::{CacheOptions, Codec, PolicyKind, ReadStrategy, Store, StoreOptions, Trace};
 use serde::Serialize;
 
 use crate::chart::{Chart, Line, svg};
@@ -36,6 +36,10 @@ pub struct Arguments {
     /// Which of the trace's parts: 0 the first dataset's pages; a recorded path's sample maps are 1
     #[arg(long, value_name = "INDEX", default_value_t = 0)]
     part: u32,
+    /// Also send the trace through a real cache over this data folder of a server, which must not be running, and say how long it took;
+    /// pages then unpack as they are stored, whatever --codec says
+    #[arg(long, value_name = "FOLDER")]
+    data_dir: Option<PathBuf>,
     /// Write the table as CSV to this file
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
@@ -76,9 +80,11 @@ struct Row {
     bytes_decoded: u64,
     /// (loads − Belady's) / (LRU's − Belady's); none where LRU is optimal.
     excess: Option<f64>,
+    /// All requests through a real cache on one thread; none without a data folder and for Belady's order, which no cache can have.
+    millis: Option<f64>,
 }
 
-const HEAD: &str = "strategy,policy,size_pages,texel_fetches,misses,miss_percent,visits,loads,rows_decoded,bytes_decoded,excess";
+const HEAD: &str = "strategy,policy,size_pages,texel_fetches,misses,miss_percent,visits,loads,rows_decoded,bytes_decoded,excess,millis";
 
 /// Replays and prints.
 pub fn replay(arguments: &Arguments, context: &Context) -> anyhow::Result<()> {
@@ -92,7 +98,10 @@ pub fn replay(arguments: &Arguments, context: &Context) -> anyhow::Result<()> {
     }
     let part = &trace.versions[0];
     context.output.say(&format!("{} version {}: {} events", part.dataset, part.version, trace.events.len()));
-    let rows = rows(arguments, &trace);
+    let mut rows = rows(arguments, &trace);
+    if let Some(folder) = &arguments.data_dir {
+        measure(folder, &trace, &mut rows)?;
+    }
     if let Some(out) = &arguments.out {
         write_atomically(out, csv(&rows).as_bytes(), Existing::from_force(arguments.force))?;
     }
@@ -117,6 +126,26 @@ fn rows(arguments: &Arguments, trace: &Trace) -> Vec<Row> {
     outcomes.iter().map(|outcome| row(outcome, (outcome.setting.capacity_bytes / page_bytes) as u32)).collect()
 }
 
+/// Adds what a real cache takes.
+fn measure(folder: &Path, trace: &Trace, rows: &mut [Row]) -> anyhow::Result<()> {
+    if !folder.join("datasets").is_dir() {
+        return Err(Failure::Usage(format!("{} is no data folder of a server", folder.display())).into());
+    }
+    let (store, _) = Store::open(folder, StoreOptions::local())?;
+    let part = &trace.versions[0];
+    let version = store.open_version(&part.dataset, Some(part.version))?;
+    for row in rows.iter_mut() {
+        // Belady's is no policy.
+        let Ok(policy) = row.policy.parse() else { continue };
+        let strategy = row.strategy.parse().expect("a row has the name of a strategy");
+        let decoded_bytes = u64::from(row.size_pages) * part.shape.resident_bytes() as u64;
+        let options = CacheOptions { strategy, decoded_policy: policy, ..CacheOptions::decoded(decoded_bytes) };
+        let (_, nanos) = laboratory::replay(trace, std::slice::from_ref(&version), options)?;
+        row.millis = Some(1e-6 * nanos as f64);
+    }
+    Ok(())
+}
+
 fn row(outcome: &Outcome, size_pages: u32) -> Row {
     Row {
         strategy: outcome.setting.strategy.name(),
@@ -130,23 +159,23 @@ fn row(outcome: &Outcome, size_pages: u32) -> Row {
         rows_decoded: outcome.rows_decoded,
         bytes_decoded: outcome.bytes_decoded,
         excess: outcome.excess,
+        millis: None,
     }
 }
 
 fn csv(rows: &[Row]) -> String {
     let mut text = format!("{HEAD}\n");
     for r in rows {
-        let Row { strategy, policy, size_pages, texel_fetches, misses, miss_percent, visits, loads, rows_decoded, bytes_decoded, excess } =
-            r;
-        let excess = excess.map(|e| e.to_string()).unwrap_or_default();
+        let Row { strategy, policy, size_pages, texel_fetches, misses, miss_percent, visits, loads, rows_decoded, bytes_decoded, .. } = r;
+        let [excess, millis] = [r.excess, r.millis].map(|number| number.map(|n| n.to_string()).unwrap_or_default());
         let counts = format!("{texel_fetches},{misses},{miss_percent},{visits},{loads},{rows_decoded},{bytes_decoded}");
-        writeln!(text, "{strategy},{policy},{size_pages},{counts},{excess}").expect("a string takes every line");
+        writeln!(text, "{strategy},{policy},{size_pages},{counts},{excess},{millis}").expect("a string takes every line");
     }
     text
 }
 
 fn text(rows: &[Row]) -> String {
-    let head = ["strategy", "policy", "pages", "miss % of fetches", "visits", "loads", "decoded MB", "excess over Belady"];
+    let head = ["strategy", "policy", "pages", "miss % of fetches", "visits", "loads", "decoded MB", "excess over Belady", "ms"];
     let mut cells = vec![head.map(str::to_string).to_vec()];
     cells.extend(rows.iter().map(|r| {
         vec![
@@ -158,9 +187,10 @@ fn text(rows: &[Row]) -> String {
             r.loads.to_string(),
             format!("{:.1}", r.bytes_decoded as f64 / 1e6),
             r.excess.map_or("-".into(), |e| format!("{e:.2}")),
+            r.millis.map_or("-".into(), |millis| format!("{millis:.1}")),
         ]
     }));
-    table(&cells, &[2, 3, 4, 5, 6, 7])
+    table(&cells, &[2, 3, 4, 5, 6, 7, 8])
 }
 
 /// Draws and says where.
@@ -209,8 +239,21 @@ mod tests {
     fn row(policy: &'static str, size_pages: u32, miss_percent: f64) -> Row {
         let counts = (1000, 10, 5, 4, 64, 1 << 20);
         let (texel_fetches, misses, visits, loads, rows_decoded, bytes_decoded) = counts;
-        let (strategy, excess) = ("block", None);
-        Row { strategy, policy, size_pages, texel_fetches, misses, miss_percent, visits, loads, rows_decoded, bytes_decoded, excess }
+        let (strategy, excess, millis) = ("block", None, None);
+        Row {
+            strategy,
+            policy,
+            size_pages,
+            texel_fetches,
+            misses,
+            miss_percent,
+            visits,
+            loads,
+            rows_decoded,
+            bytes_decoded,
+            excess,
+            millis,
+        }
     }
 
     #[test]

@@ -29,7 +29,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
-pub use self::reader::Reader;
+#[doc(hidden)]
+pub use self::reader::Uncounted;
+pub use self::reader::{Counted, Reader, Tally};
 pub use self::stats::{CacheSnapshot, CacheStats, CompressedStats, VersionStats};
 
 use self::chunk::Chunk;
@@ -169,6 +171,12 @@ impl Cache {
 
     /// Texels of a version, for one thread.
     pub fn reader<'a>(&'a self, version: &'a Arc<DatasetVersion>) -> Reader<'a> {
+        Reader::new(self, version, self.table(version).clone())
+    }
+
+    /// A reader that leaves out the counting, for the bench that measures what counting costs; all else is as in [`Self::reader`].
+    #[doc(hidden)]
+    pub fn uncounted_reader<'a>(&'a self, version: &'a Arc<DatasetVersion>) -> Reader<'a, Uncounted> {
         Reader::new(self, version, self.table(version).clone())
     }
 

@@ -33,7 +33,9 @@ mod version;
 #[cfg(test)]
 mod tests;
 
-pub use cache::{Cache, CacheOptions, CacheSnapshot, CacheStats, CompressedStats, Reader, VersionStats};
+#[doc(hidden)]
+pub use cache::Uncounted;
+pub use cache::{Cache, CacheOptions, CacheSnapshot, CacheStats, CompressedStats, Counted, Reader, Tally, VersionStats};
 pub use codec::{BLOCK_ROWS, Codec, EncodedPage, MAX_F16, UnknownCodec, encode, encode_as};
 pub use disk::{Disk, LimitedDisk, LocalDisk};
 pub use error::StoreError;

@@ -105,15 +105,27 @@ pub enum Texels {
     F16(Vec<f16>),
 }
 
-/// Two texels from `first` on, and the two a row below.
-#[inline]
+/// Two texels from `first` on, and the two a row below. Checked once a row, not once a texel.
+#[inline(always)]
 fn gather<const CHANNELS: usize>(numbers: &[f32], first: usize, row: usize) -> [[f32; 4]; 4] {
-    let texel = |at: usize| {
-        let mut texel = [0.0; 4];
-        texel[..CHANNELS].copy_from_slice(&numbers[at..at + CHANNELS]);
-        texel
-    };
-    [texel(first), texel(first + CHANNELS), texel(first + row), texel(first + row + CHANNELS)]
+    let [upper, lower] = [first, first + row].map(|at| &numbers[at..at + 2 * CHANNELS]);
+    [padded(&upper[..CHANNELS]), padded(&upper[CHANNELS..]), padded(&lower[..CHANNELS]), padded(&lower[CHANNELS..])]
+}
+
+/// Bilinear interpolation between upper left, upper right, lower left and lower right.
+#[inline(always)]
+pub(super) fn mixed([a, b, c, d]: &[[f32; 4]; 4], (u, v): (f32, f32)) -> [f32; 4] {
+    std::array::from_fn(|channel| {
+        let upper = a[channel] + u * (b[channel] - a[channel]);
+        let lower = c[channel] + u * (d[channel] - c[channel]);
+        upper + v * (lower - upper)
+    })
+}
+
+/// Zeros behind. Inlined where the length is known, so that no copying is called for a few numbers.
+#[inline(always)]
+fn padded(numbers: &[f32]) -> [f32; 4] {
+    std::array::from_fn(|k| if k < numbers.len() { numbers[k] } else { 0.0 })
 }
 
 /// A decoded page, or some whole rows of one.
@@ -163,38 +175,35 @@ impl Page {
         let channels = self.shape.channels as usize;
         let first = y as usize * self.shape.row_values() + x as usize * channels;
         assert!(x < self.shape.width, "column {x} of a page {} wide", self.shape.width);
-        let mut texel = [0.0; 4];
-        match &self.texels {
-            Texels::F32(v) => texel[..channels].copy_from_slice(&v[first..first + channels]),
-            Texels::F16(v) => v[first..first + channels].convert_to_f32_slice(&mut texel[..channels]),
+        match (&self.texels, channels) {
+            (Texels::F32(v), 3) => padded(&v[first..first + 3]),
+            (Texels::F32(v), 4) => padded(&v[first..first + 4]),
+            (Texels::F32(v), 2) => padded(&v[first..first + 2]),
+            (Texels::F32(v), _) => padded(&v[first..first + 1]),
+            (Texels::F16(v), _) => {
+                let mut texel = [0.0; 4];
+                v[first..first + channels].convert_to_f32_slice(&mut texel[..channels]);
+                texel
+            }
         }
-        texel
     }
 
-    /// The texels (x, y), (x+1, y), (x, y+1), (x+1, y+1), for interpolation. Outside the page is a caller's bug and panics.
+    /// Interpolation between the texels (x, y) and (x+1, y+1); `u` and `v`, 0…1, are the weights of the right column and the lower row;
+    /// channels that the page lacks are 0. Outside the page is a caller's bug and panics.
     #[inline]
-    pub fn footprint(&self, x: u32, y: u32) -> [[f32; 4]; 4] {
+    pub fn bilinear(&self, (x, y): (u32, u32), weights: (f32, f32)) -> [f32; 4] {
         let channels = self.shape.channels as usize;
         let (row, first) = (self.shape.row_values(), y as usize * self.shape.row_values() + x as usize * channels);
         assert!(x + 1 < self.shape.width, "columns {x} and {} of a page {} wide", x + 1, self.shape.width);
         // With the channel count a constant the copies become a few moves.
-        match (&self.texels, channels) {
+        let corners = match (&self.texels, channels) {
             (Texels::F32(v), 3) => gather::<3>(v, first, row),
             (Texels::F32(v), 4) => gather::<4>(v, first, row),
             (Texels::F32(v), 2) => gather::<2>(v, first, row),
             (Texels::F32(v), _) => gather::<1>(v, first, row),
-            (Texels::F16(v), channels) => {
-                let mut numbers = [0.0; 4 * MAX_CHANNELS as usize];
-                let (upper, lower) = numbers.split_at_mut(2 * channels);
-                v[first..first + 2 * channels].convert_to_f32_slice(upper);
-                v[first + row..first + row + 2 * channels].convert_to_f32_slice(&mut lower[..2 * channels]);
-                let mut texels = [[0.0; 4]; 4];
-                for (texel, numbers) in texels.iter_mut().zip(numbers.chunks_exact(channels)) {
-                    texel[..channels].copy_from_slice(numbers);
-                }
-                texels
-            }
-        }
+            (Texels::F16(_), _) => [(x, y), (x + 1, y), (x, y + 1), (x + 1, y + 1)].map(|(x, y)| self.texel(x, y)),
+        };
+        mixed(&corners, weights)
     }
 
     /// These rows with those of `below` under them, of the same width and format.

@@ -1,5 +1,6 @@
 //! Texels through the cache, for one thread: the pages used last are found without any lock, and counted without any shared write.
 
+use std::marker::PhantomData;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
@@ -10,7 +11,7 @@ use super::table::{Part, VersionTable};
 use super::{Cache, Obtained};
 use crate::textures::codec::BLOCK_ROWS;
 use crate::textures::error::StoreError;
-use crate::textures::page::{PageId, PageShape};
+use crate::textures::page::{Page, PageId, PageShape, mixed};
 use crate::textures::read_strategy::ReadStrategy;
 use crate::textures::trace::TraceEvent;
 use crate::textures::version::DatasetVersion;
@@ -18,22 +19,44 @@ use crate::textures::version::DatasetVersion;
 /// Pages or blocks remembered; a power of two. A bucket of 16×16 pixels uses a few dozen.
 const KEPT: usize = 64;
 /// Uses noted before they are handed on.
-const USES: usize = 64;
+const USES: usize = 256;
 /// Look-ups counted before they are handed on, so that the counters never lag by much.
 const UNTOLD_LOOK_UPS: u64 = 1 << 16;
 /// Runs recorded before they are handed on.
 const RUNS: usize = 4096;
+
+/// Whether a reader counts what it does.
+pub trait Tally: std::fmt::Debug {
+    /// A constant, so that what is not counted takes no time.
+    const COUNTS: bool;
+}
+
+/// Every reader that serves.
+#[derive(Debug)]
+pub struct Counted;
+
+/// None that serves: the bench `texture_cache` measures what counting costs by leaving it out.
+#[derive(Debug)]
+pub struct Uncounted;
+
+impl Tally for Counted {
+    const COUNTS: bool = true;
+}
+
+impl Tally for Uncounted {
+    const COUNTS: bool = false;
+}
 
 /// Reads texels of one dataset version. One a thread; dropping it hands on its counters.
 ///
 /// A row that is missing is read as the dataset's [`ReadStrategy`] says, while the caller waits. Everything found in memory is a hit,
 /// whether this reader remembers it or the cache does; what the cache has given up is never a hit.
 #[derive(Debug)]
-pub struct Reader<'a> {
+pub struct Reader<'a, T: Tally = Counted> {
     cache: &'a Cache,
     version: &'a Arc<DatasetVersion>,
     table: Arc<VersionTable>,
-    kept: Vec<Kept>,
+    kept: Box<[Option<Kept>; KEPT]>,
     is_by_block: bool,
     /// Uses since they were last handed on; the last one is not noted again.
     uses: Vec<Ticket>,
@@ -41,48 +64,55 @@ pub struct Reader<'a> {
     visited: PageId,
     visit_missed: bool,
     look_up_missed: bool,
+    /// Look-ups of four fetches that one remembered page answered, not yet in `counters`.
+    footprints: u64,
     counters: CacheStats,
     /// What was handed on before, and the bytes that its misses read.
     handed_on: CacheStats,
     /// Runs of rows; None when nothing records.
     runs: Option<Vec<(PageId, u32, u32)>>,
+    tally: PhantomData<T>,
 }
 
-#[derive(Debug, Clone)]
+/// A chunk, and what a hit needs of it one step nearer.
+#[derive(Debug)]
 struct Kept {
     page: PageId,
-    chunk: Option<Arc<Chunk>>,
+    first_row: u32,
+    end_row: u32,
+    ticket: Ticket,
+    texels: Arc<Page>,
+    chunk: Arc<Chunk>,
 }
 
 impl Kept {
-    #[inline]
-    fn chunk(&self, page: PageId) -> Option<&Chunk> {
-        match &self.chunk {
-            Some(chunk) if self.page == page && !chunk.is_evicted() => Some(chunk),
-            _ => None,
-        }
+    fn new(page: PageId, chunk: &Arc<Chunk>) -> Self {
+        let (first_row, end_row) = (chunk.rows.start, chunk.rows.end);
+        Self { page, first_row, end_row, ticket: chunk.ticket, texels: chunk.page.clone(), chunk: chunk.clone() }
     }
 }
 
 /// No page has this number: a version has fewer.
 const NO_PAGE: PageId = PageId(u32::MAX);
 
-impl<'a> Reader<'a> {
+impl<'a, T: Tally> Reader<'a, T> {
     pub(super) fn new(cache: &'a Cache, version: &'a Arc<DatasetVersion>, table: Arc<VersionTable>) -> Self {
         Self {
             cache,
             version,
             is_by_block: table.strategy() == ReadStrategy::Block,
             table,
-            kept: vec![Kept { page: NO_PAGE, chunk: None }; KEPT],
+            kept: Box::new([const { None }; KEPT]),
             uses: Vec::with_capacity(USES),
             last_use: UNKEPT,
             visited: NO_PAGE,
             visit_missed: false,
             look_up_missed: false,
+            footprints: 0,
             counters: CacheStats::default(),
             handed_on: CacheStats::default(),
             runs: cache.is_recording.load(Ordering::Relaxed).then(Vec::new),
+            tally: PhantomData,
         }
     }
 
@@ -90,6 +120,7 @@ impl<'a> Reader<'a> {
     pub fn counted(&self) -> CacheStats {
         let mut all = self.handed_on;
         all.add_events(&self.counters);
+        count_footprints(&mut all, self.footprints);
         all
     }
 
@@ -133,33 +164,20 @@ impl<'a> Reader<'a> {
         result.map(|()| texels)
     }
 
-    /// Bilinear interpolation within one page, between the texels (x, y) and (x+1, y+1): one look-up of four fetches. `u` and `v`, 0…1,
-    /// are the weights of the right column and the lower row.
+    /// [`Page::bilinear`] through the cache: one look-up of four fetches.
     #[inline]
-    pub fn bilinear(&mut self, page: PageId, (x, y): (u32, u32), (u, v): (f32, f32)) -> Result<[f32; 4], StoreError> {
-        let [a, b, c, d] = self.footprint(page, x, y)?;
-        let mix = |channel: usize| {
-            let upper = a[channel] + u * (b[channel] - a[channel]);
-            let lower = c[channel] + u * (d[channel] - c[channel]);
-            upper + v * (lower - upper)
-        };
-        Ok([mix(0), mix(1), mix(2), mix(3)])
-    }
-
-    #[inline]
-    fn footprint(&mut self, page: PageId, x: u32, y: u32) -> Result<[[f32; 4]; 4], StoreError> {
+    pub fn bilinear(&mut self, page: PageId, (x, y): (u32, u32), weights: (f32, f32)) -> Result<[f32; 4], StoreError> {
         if self.runs.is_none()
-            && let Some(chunk) = self.kept[self.place(page, y)].chunk(page)
-            && chunk.rows.start <= y
-            && y + 1 < chunk.rows.end
+            && let Some(kept) = self.kept(page, y)
+            && y + 1 < kept.end_row
         {
-            let (ticket, texels) = (chunk.ticket, chunk.page.footprint(x, y - chunk.rows.start));
-            self.counters.texel_fetches += 4;
+            let (ticket, texel) = (kept.ticket, kept.texels.bilinear((x, y - kept.first_row), weights));
+            self.footprints += u64::from(T::COUNTS);
             self.note_use(page, ticket);
-            self.end_look_up();
-            return Ok(texels);
+            return Ok(texel);
         }
-        self.texels([(page, x, y), (page, x + 1, y), (page, x, y + 1), (page, x + 1, y + 1)])
+        let corners = self.texels([(page, x, y), (page, x + 1, y), (page, x, y + 1), (page, x + 1, y + 1)])?;
+        Ok(mixed(&corners, weights))
     }
 
     #[inline]
@@ -169,16 +187,21 @@ impl<'a> Reader<'a> {
         (page.0.wrapping_mul(9).wrapping_add(part)) as usize % KEPT
     }
 
+    /// Remembered, and still the cache's.
+    #[inline]
+    fn kept(&self, page: PageId, y: u32) -> Option<&Kept> {
+        let kept = self.kept[self.place(page, y)].as_ref()?;
+        (kept.page == page && kept.first_row <= y && y < kept.end_row && !kept.chunk.is_evicted()).then_some(kept)
+    }
+
     #[inline]
     fn fetch(&mut self, page: PageId, x: u32, y: u32) -> Result<[f32; 4], StoreError> {
-        self.counters.texel_fetches += 1;
+        self.counters.texel_fetches += u64::from(T::COUNTS);
         if self.runs.is_some() {
             self.record(page, y);
         }
-        if let Some(chunk) = self.kept[self.place(page, y)].chunk(page)
-            && chunk.rows.contains(&y)
-        {
-            let (ticket, texel) = (chunk.ticket, chunk.page.texel(x, y - chunk.rows.start));
+        if let Some(kept) = self.kept(page, y) {
+            let (ticket, texel) = (kept.ticket, kept.texels.texel(x, y - kept.first_row));
             self.note_use(page, ticket);
             return Ok(texel);
         }
@@ -196,11 +219,14 @@ impl<'a> Reader<'a> {
                 self.hand_on();
             }
         }
+        if self.footprints >= UNTOLD_LOOK_UPS {
+            self.hand_on();
+        }
     }
 
     #[inline]
     fn note_visit(&mut self, page: PageId) {
-        if page != self.visited {
+        if T::COUNTS && page != self.visited {
             self.visited = page;
             self.visit_missed = false;
             self.counters.page_visits += 1;
@@ -209,6 +235,9 @@ impl<'a> Reader<'a> {
 
     #[inline]
     fn end_look_up(&mut self) {
+        if !T::COUNTS {
+            return;
+        }
         if !std::mem::take(&mut self.look_up_missed) {
             self.counters.look_ups += 1;
             self.counters.hits += 1;
@@ -233,7 +262,7 @@ impl<'a> Reader<'a> {
             }
         };
         let place = self.place(page, y);
-        self.kept[place] = Kept { page, chunk: Some(chunk.clone()) };
+        self.kept[place] = Some(Kept::new(page, &chunk));
         Ok(chunk)
     }
 
@@ -271,15 +300,18 @@ impl<'a> Reader<'a> {
         }
         self.last_use = chunk.ticket;
         // What was evicted meanwhile is not held any longer than that.
-        for kept in &mut self.kept {
-            if kept.chunk.as_ref().is_some_and(|chunk| chunk.is_evicted()) {
-                kept.chunk = None;
+        for kept in self.kept.iter_mut() {
+            if kept.as_ref().is_some_and(|kept| kept.chunk.is_evicted()) {
+                *kept = None;
             }
         }
         Ok(chunk)
     }
 
     fn count_miss(&mut self) {
+        if !T::COUNTS {
+            return;
+        }
         self.counters.texel_misses += 1;
         if !self.look_up_missed {
             self.look_up_missed = true;
@@ -295,7 +327,8 @@ impl<'a> Reader<'a> {
     /// Gives the cache what was counted and noted here.
     #[cold]
     fn hand_on(&mut self) {
-        let counters = std::mem::take(&mut self.counters);
+        let mut counters = std::mem::take(&mut self.counters);
+        count_footprints(&mut counters, std::mem::take(&mut self.footprints));
         self.handed_on.add_events(&counters);
         let is_full = self.cache.stripes.count_uses(self.table.slot, &self.uses, |c| c.add_events(&counters));
         self.uses.clear();
@@ -326,7 +359,14 @@ impl<'a> Reader<'a> {
     }
 }
 
-impl Drop for Reader<'_> {
+/// Look-ups of four fetches, all hits.
+fn count_footprints(counters: &mut CacheStats, count: u64) {
+    counters.look_ups += count;
+    counters.hits += count;
+    counters.texel_fetches += 4 * count;
+}
+
+impl<T: Tally> Drop for Reader<'_, T> {
     fn drop(&mut self) {
         self.hand_on();
         self.hand_on_runs();
