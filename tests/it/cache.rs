@@ -147,7 +147,7 @@ fn a_recorded_frame_is_replayed_and_charted() {
     assert!(!timed.output().unwrap().status.success());
     assert_eq!(server.stop(), Some(0));
     let output = timed.output().unwrap();
-    let rows: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap_or_else(|_| panic!("{output:?}"));
+    let rows: Value = serde_json::from_slice(&output.stdout).unwrap_or_else(|_| panic!("{output:?}"));
     for row in rows.as_array().unwrap() {
         assert_eq!(row["millis"].as_f64().is_some_and(|millis| millis > 0.0), row["policy"] == "lru", "{row}");
     }
