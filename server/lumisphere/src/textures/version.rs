@@ -43,7 +43,7 @@ pub struct DatasetVersion {
     disk: Arc<dyn Disk>,
     folders: Arc<Folders>,
     /// One for each of the manifest's segments; None if the file is gone.
-    segments: Vec<Option<File>>,
+    segments: Vec<(PathBuf, Option<File>)>,
     blobs: BTreeMap<String, Option<File>>,
 }
 
@@ -76,7 +76,8 @@ thread_local! {
 impl DatasetVersion {
     /// Opens the files, which keeps them alive.
     pub(super) fn open(record: Arc<VersionRecord>, disk: Arc<dyn Disk>, folders: Arc<Folders>) -> Self {
-        let segments = record.manifest.segments.iter().map(|s| File::open(folders.segment(&s.blake3)).ok()).collect();
+        let segments = record.manifest.segments.iter().map(|s| folders.segment(&s.blake3));
+        let segments = segments.map(|path| (path.clone(), File::open(path).ok())).collect();
         let blobs = record.manifest.blobs.iter();
         let blobs = blobs.map(|(name, blob)| (name.clone(), File::open(folders.blob(&blob.blake3)).ok())).collect();
         Self { record, disk, folders, segments, blobs }
@@ -129,9 +130,10 @@ impl DatasetVersion {
         RECORD.with_borrow_mut(|record| {
             let started = Instant::now();
             record.resize(location.length as usize, 0);
-            self.read(file, record, location.offset, page, &path)?;
+            self.read(file, record, location.offset, page, path)?;
             let read = Instant::now();
-            let (decoded, header) = segment::decode_record(record, page, location.checksum).map_err(|bad| self.damaged(page, bad, path))?;
+            let (decoded, header) =
+                segment::decode_record(record, page, location.checksum).map_err(|bad| self.damaged(page, bad, path.into()))?;
             let cost = ReadCost {
                 blocks_read: header.blocks.len() as u64,
                 bytes_read: record.len() as u64,
@@ -148,23 +150,21 @@ impl DatasetVersion {
     /// A page's header, and how many bytes of the disk it took.
     pub(super) fn page_header(&self, page: PageId) -> Result<(Header, u64), StoreError> {
         let (location, file, path) = self.locate(page)?;
-        let header = self.read_header(file, &location, page, &path)?;
+        let header = self.read_header(file, &location, page, path)?;
         let bytes = header.bytes() as u64;
         Ok((header, bytes))
     }
 
-    /// Appends the compressed bytes of some blocks, unchecked. Where the file ends before, the rows of all of them are named.
-    pub(super) fn read_blocks(&self, page: PageId, header: &Header, blocks: Range<u32>, out: &mut Vec<u8>) -> Result<(), StoreError> {
+    /// The compressed bytes of some blocks, unchecked; `out` is as long. Where the file ends before, the rows of all of them are named.
+    pub(super) fn read_blocks(&self, page: PageId, header: &Header, blocks: Range<u32>, out: &mut [u8]) -> Result<(), StoreError> {
         let (location, file, path) = self.locate(page)?;
         let range = segment::blocks_range(header, blocks.clone());
-        let start = out.len();
-        out.resize(start + range.len(), 0);
-        match self.disk.read_at(file, &mut out[start..], location.offset + range.start as u64) {
+        match self.disk.read_at(file, out, location.offset + range.start as u64) {
             Err(error) if error.kind() == std::io::ErrorKind::UnexpectedEof => {
                 let rows = block_rows(&header.shape, blocks.start).start..block_rows(&header.shape, blocks.end - 1).end;
-                Err(self.damaged(page, BadRecord { rows: Some(rows), reason: "the segment ends before them" }, path))
+                Err(self.damaged(page, BadRecord { rows: Some(rows), reason: "the segment ends before them" }, path.into()))
             }
-            result => result.at("read", &path),
+            result => result.at("read", path),
         }
     }
 
@@ -177,7 +177,7 @@ impl DatasetVersion {
         packed: &dyn Fn(u32) -> Option<&'a [u8]>,
     ) -> Result<Page, StoreError> {
         segment::decode_packed(header, rows, packed).map_err(|bad| match self.locate(page) {
-            Ok((_, _, path)) => self.damaged(page, bad, path),
+            Ok((_, _, path)) => self.damaged(page, bad, path.into()),
             Err(error) => error,
         })
     }
@@ -185,7 +185,7 @@ impl DatasetVersion {
     /// Some rows of a page, as a page of that height; reads and checks only the blocks they lie in.
     pub fn read_rows(&self, page: PageId, rows: Range<u32>) -> Result<Page, StoreError> {
         let (location, file, path) = self.locate(page)?;
-        let header = self.read_header(file, &location, page, &path)?;
+        let header = self.read_header(file, &location, page, path)?;
         if rows.is_empty() || rows.end > header.shape.height {
             return Err(StoreError::NotFound {
                 what: format!("rows {}..{} of page {page} with {} rows", rows.start, rows.end, header.shape.height),
@@ -193,8 +193,8 @@ impl DatasetVersion {
         }
         let range = segment::blocks_range(&header, header.codec.blocks_for(&rows));
         let mut bytes = vec![0; range.len()];
-        self.read(file, &mut bytes, location.offset + range.start as u64, page, &path)?;
-        segment::decode_rows(&header, rows, &bytes, range.start).map_err(|bad| self.damaged(page, bad, path))
+        self.read(file, &mut bytes, location.offset + range.start as u64, page, path)?;
+        segment::decode_rows(&header, rows, &bytes, range.start).map_err(|bad| self.damaged(page, bad, path.into()))
     }
 
     /// One read, long enough for the tallest page's block table.
@@ -207,16 +207,15 @@ impl DatasetVersion {
     }
 
     /// Where a page's record lies.
-    fn locate(&self, page: PageId) -> Result<(Location, &File, PathBuf), StoreError> {
+    fn locate(&self, page: PageId) -> Result<(Location, &File, &Path), StoreError> {
         let manifest = self.manifest();
         let Some(place) = self.record.pages.get(page.0 as usize) else {
             return Err(StoreError::NotFound { what: format!("page {page} of {} version {}", manifest.dataset, manifest.version) });
         };
         let damaged = |reason, path| self.damaged(page, BadRecord { rows: None, reason }, path);
         let location = place.ok_or_else(|| damaged("no intact header of it was found in any segment", self.folders.segments.clone()))?;
-        let index = location.segment as usize;
-        let path = self.folders.segment(&manifest.segments[index].blake3);
-        let file = self.segments[index].as_ref().ok_or_else(|| damaged("the segment is missing", path.clone()))?;
+        let (path, file) = &self.segments[location.segment as usize];
+        let file = file.as_ref().ok_or_else(|| damaged("the segment is missing", path.clone()))?;
         Ok((location, file, path))
     }
 

@@ -9,7 +9,7 @@ use super::chunk::Chunk;
 use super::compressed::CompressedTier;
 use super::residency::Arriving;
 use super::table::{PageSlots, Part};
-use crate::textures::codec::{BLOCK_ROWS, block_rows};
+use crate::textures::codec::{BLOCK_ROWS, Block, block_rows};
 use crate::textures::error::StoreError;
 use crate::textures::page::Page;
 use crate::textures::read_strategy::ReadStrategy;
@@ -114,12 +114,11 @@ impl Miss<'_> {
         let is_on = compressed.is_on();
         let held: Vec<Option<Arc<[u8]>>> = blocks.clone().map(|block| is_on.then(|| compressed.get(key(block)))?).collect();
         PACKED.with_borrow_mut(|packed| {
-            packed.clear();
             let started = Instant::now();
             let places = self.read_missing(header, blocks.clone(), &held, packed)?;
             let read = Instant::now();
             cost.blocks_read += held.iter().filter(|block| block.is_none()).count() as u64;
-            cost.bytes_read += packed.len() as u64;
+            cost.bytes_read += places.last().map_or(0, |place| place.end as u64);
             cost.read_nanos += (read - started).as_nanos() as u64;
             let bytes_of = |block: u32| {
                 let at = (block - first) as usize;
@@ -142,7 +141,7 @@ impl Miss<'_> {
         })
     }
 
-    /// Reads each run of blocks that are not at hand, in one go; where each block lies in `packed`.
+    /// Reads each run of blocks that are not at hand, in one go; where each block lies in `packed`, one behind the other.
     fn read_missing(
         &self,
         header: &Header,
@@ -150,25 +149,25 @@ impl Miss<'_> {
         held: &[Option<Arc<[u8]>>],
         packed: &mut Vec<u8>,
     ) -> Result<Vec<Range<usize>>, StoreError> {
-        let mut places = Vec::with_capacity(held.len());
-        let mut run = blocks.start..blocks.start;
-        for (block, held) in blocks.zip(held) {
-            if held.is_some() {
-                self.read_run(header, run, packed)?;
-                run = block + 1..block + 1;
-                places.push(0..0);
-                continue;
+        let mut end = 0;
+        let place = |(block, held): (&Block, &Option<_>)| {
+            let start = end;
+            end += if held.is_none() { block.length as usize } else { 0 };
+            start..end
+        };
+        let places: Vec<_> = header.blocks[blocks.start as usize..blocks.end as usize].iter().zip(held).map(place).collect();
+        // Kept at its largest: what is not written over is not read.
+        packed.resize(packed.len().max(end), 0);
+        let mut at = 0;
+        for run in held.chunk_by(|a, b| a.is_none() == b.is_none()) {
+            let behind = at + run.len();
+            if run[0].is_none() {
+                let missing = blocks.start + at as u32..blocks.start + behind as u32;
+                self.version.read_blocks(self.slots.page, header, missing, &mut packed[places[at].start..places[behind - 1].end])?;
             }
-            let start = places.iter().map(|p: &Range<usize>| p.end).max().unwrap_or(0);
-            places.push(start..start + header.blocks[block as usize].length as usize);
-            run.end = block + 1;
+            at = behind;
         }
-        self.read_run(header, run, packed)?;
         Ok(places)
-    }
-
-    fn read_run(&self, header: &Header, run: Range<u32>, packed: &mut Vec<u8>) -> Result<(), StoreError> {
-        if run.is_empty() { Ok(()) } else { self.version.read_blocks(self.slots.page, header, run, packed) }
     }
 
     fn count_redundant(&self, header: &Header, unpacked: Range<u32>, cost: &mut ReadCost) {
