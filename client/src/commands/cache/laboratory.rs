@@ -27,8 +27,8 @@ pub struct Arguments {
     /// Read strategies: on_demand, on_demand_restart, half_threshold, full_image, block [default: all]
     #[arg(long, value_name = "STRATEGY", value_delimiter = ',')]
     strategies: Vec<ReadStrategy>,
-    /// How pages are stored: zstd-chunk, zstd-seq or lzw-seq
-    #[arg(long, value_name = "CODEC", default_value = "zstd-chunk")]
+    /// How pages are stored: bits-chunk, zstd-chunk, zstd-seq or lzw-seq
+    #[arg(long, value_name = "CODEC", default_value_t = Codec::DEFAULT)]
     codec: Codec,
     /// Sizes in pages
     #[arg(long, value_name = "PAGES", value_delimiter = ',', default_value = "2,4,8,16,32,64,128,256")]

@@ -88,7 +88,10 @@ pub fn staging(root: &Path) -> Staging {
 /// The faces under every codec, and for the rivals as they are.
 pub fn stored(folder: &Path, faces: &[f32]) -> BTreeMap<String, Arc<DatasetVersion>> {
     fs::write(folder.join("faces.f32"), faces.iter().flat_map(|n| n.to_le_bytes()).collect::<Vec<_>>()).expect("room on the disk");
-    let kinds = Codec::ALL.map(|codec| (codec, PixelFormat::F32)).into_iter().chain([(Codec::ZstdChunk, PixelFormat::F16)]);
+    let kinds = Codec::ALL
+        .map(|codec| (codec, PixelFormat::F32))
+        .into_iter()
+        .chain([(Codec::BitsChunk, PixelFormat::F16), (Codec::ZstdChunk, PixelFormat::F16)]);
     kinds
         .map(|(codec, pixel)| {
             let name = format!("{codec} {}", if pixel == PixelFormat::F32 { "f32" } else { "f16" });

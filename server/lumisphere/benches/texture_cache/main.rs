@@ -64,7 +64,7 @@ fn texels(folder: &Path, wants: impl Fn(&str) -> bool) {
     data::write_numbers(&folder.join("random.u32"), &random);
     data::write_numbers(&folder.join("warm.u32"), &warm);
     if wants("memory") {
-        memory::measure(&folder.join("zstd-chunk-f32"));
+        memory::measure(&folder.join(format!("{}-f32", Codec::DEFAULT)));
     }
     if !["sizes", "misses", "hits", "strategies", "writes"].iter().any(|part| wants(part)) {
         return;
@@ -78,7 +78,7 @@ fn texels(folder: &Path, wants: impl Fn(&str) -> bool) {
         misses(&versions, &random, &oiio, &python);
     }
     if wants("hits") {
-        hits(&versions["zstd-chunk f32"], &warm, &oiio);
+        hits(&versions[&format!("{} f32", Codec::DEFAULT)], &warm, &oiio);
     }
     if wants("strategies") {
         strategies(&versions);
@@ -101,9 +101,11 @@ fn sizes(faces: &[f32], oiio: &Values) {
         faces.chunks_exact(shape.values()).map(page).sum()
     };
     for (codec, pixel) in [
+        (Codec::BitsChunk, PixelFormat::F32),
         (Codec::ZstdChunk, PixelFormat::F32),
         (Codec::ZstdSeq, PixelFormat::F32),
         (Codec::LzwSeq, PixelFormat::F32),
+        (Codec::BitsChunk, PixelFormat::F16),
         (Codec::ZstdChunk, PixelFormat::F16),
         (Codec::ZstdSeq, PixelFormat::F16),
     ] {
@@ -112,8 +114,8 @@ fn sizes(faces: &[f32], oiio: &Values) {
     for name in ["zip_f32_bytes", "none_f32_bytes", "zip_f16_bytes"] {
         println!("  EXR {name}: {:.1} MB", 1e-6 * oiio[name]);
     }
-    bound("lossless f32 / EXR ZIP f32", stored(Codec::ZstdChunk, PixelFormat::F32) / oiio["zip_f32_bytes"], 0.82);
-    bound("f16 / EXR ZIP f16", stored(Codec::ZstdChunk, PixelFormat::F16) / oiio["zip_f16_bytes"], 1.0);
+    bound("lossless f32 / EXR ZIP f32", stored(Codec::DEFAULT, PixelFormat::F32) / oiio["zip_f32_bytes"], 0.82);
+    bound("f16 / EXR ZIP f16", stored(Codec::DEFAULT, PixelFormat::F16) / oiio["zip_f16_bytes"], 1.0);
 }
 
 /// CPU seconds and misses of the look-ups through a cache of 64 faces' bytes; the best of some runs.
@@ -173,10 +175,10 @@ fn misses(versions: &BTreeMap<String, Arc<DatasetVersion>>, random: &[u32], oiio
             let (s, misses) = (values[&format!("{layout}_seconds")], values[&format!("{layout}_misses")]);
             println!("  OpenImageIO {version} {layout}: {:.1} ({misses})", 1e6 * s / misses);
         }
-        let full = seconds["zstd-chunk f32 full_image"];
+        let full = seconds[&format!("{} f32 full_image", Codec::DEFAULT)];
         bound(&format!("face misses, ours / {version} EXR ZIP"), full / values["zip_f32_seconds"], 0.125);
         bound(&format!("face misses, ours / {version} EXR uncompressed"), full / values["none_f32_seconds"], 0.8);
-        let block = seconds["zstd-chunk f32 block"];
+        let block = seconds[&format!("{} f32 block", Codec::DEFAULT)];
         bound(&format!("block misses, ours / {version} 32² ZIP"), block / values["zip_f32_32_seconds"], 0.2);
     }
 }
@@ -274,7 +276,7 @@ fn compare_policies(folder: &Path, name: &str, trace: &Trace, strategy: ReadStra
     for capacity in capacities {
         let misses = |order| {
             let capacity_bytes = capacity * unit.resident_bytes() as u64;
-            simulate(trace, Setting { strategy, codec: Codec::ZstdChunk, order, capacity_bytes }).loads
+            simulate(trace, Setting { strategy, codec: Codec::DEFAULT, order, capacity_bytes }).loads
         };
         let ours: Vec<(String, u64)> = PolicyKind::ALL.map(|kind| (kind.name().into(), misses(Order::Policy(kind)))).into();
         let kept: Vec<(String, u64)> =

@@ -10,6 +10,7 @@
 //! carries its own checksum, and a damaged one is an error that names page and rows and hurts nothing else; the index can be
 //! deleted at any time; a killed writer finds its pages again; a full disk is [`StoreError::DiskFull`] and loses nothing.
 
+mod bits;
 mod cache;
 mod codec;
 mod disk;

@@ -87,7 +87,7 @@ fn belady_is_the_optimum_and_no_policy_loads_less() {
     let orders: Vec<Order> = PolicyKind::ALL.into_iter().map(Order::Policy).chain([Order::Belady]).collect();
     for seed in 0..6 {
         let trace = trace(seed, 600);
-        let outcomes = compare(&trace, Codec::ZstdChunk, &[ReadStrategy::FullImage], &orders, &sizes);
+        let outcomes = compare(&trace, Codec::DEFAULT, &[ReadStrategy::FullImage], &orders, &sizes);
         assert_eq!(outcomes.len(), orders.len() * sizes.len());
         for (pages, of_size) in (1..).zip(outcomes.chunks(orders.len())) {
             let best = of_size.last().unwrap();

@@ -215,11 +215,13 @@ fn blocks_take_the_relation_of_their_channels_that_is_smaller() {
     // Grey in the upper block; in the lower one only the second channel changes.
     let texel = |i: usize| if i < 64 * 16 { [0.5 + 0.5 * noise(i); 3] } else { [1.0, 0.5 + 0.5 * noise(i), 1.0] };
     let texels: Vec<f32> = (0..64 * 32).flat_map(texel).collect();
-    let encoded = encode(&shape, &texels).unwrap();
-    let relations: Vec<u8> = encoded.blocks.iter().map(|block| encoded.payload[block.offset as usize]).collect();
-    assert_eq!(relations, [1, 0]);
     let halves: Vec<f32> = texels.iter().map(|v| f16::from_f32(*v).to_f32()).collect();
-    assert_eq!(through_codec(Codec::ZstdChunk, &shape, &texels, 0..32).to_f32(), halves);
-    // The channels that say nothing new take next to no bytes: one noisy plane of 64 · 16 bytes and a part of the other a block.
-    assert!(encoded.blocks.iter().all(|block| block.length < 2 * 64 * 16), "{:?}", encoded.blocks);
+    for codec in [Codec::BitsChunk, Codec::ZstdChunk] {
+        let encoded = encode_as(codec, &shape, &texels).unwrap();
+        let relations: Vec<u8> = encoded.blocks.iter().map(|block| encoded.payload[block.offset as usize]).collect();
+        assert_eq!(relations, [1, 0], "{codec}");
+        assert_eq!(through_codec(codec, &shape, &texels, 0..32).to_f32(), halves, "{codec}");
+        // The channels that say nothing new take next to no bytes: one noisy plane of 64 · 16 bytes and a part of the other a block.
+        assert!(encoded.blocks.iter().all(|block| block.length < 2 * 64 * 16), "{codec}: {:?}", encoded.blocks);
+    }
 }

@@ -3,7 +3,7 @@
 use super::*;
 
 fn sixteen() -> Published {
-    published(Codec::ZstdChunk, &[shape(4, 40); 16])
+    published(Codec::DEFAULT, &[shape(4, 40); 16])
 }
 
 fn page_bytes() -> u64 {

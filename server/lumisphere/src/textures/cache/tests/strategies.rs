@@ -10,7 +10,7 @@ const WIDTH: u32 = 8;
 const PAGES: u32 = 12;
 
 fn twelve(codec: Codec) -> &'static Published {
-    static PUBLISHED: [OnceLock<Published>; 3] = [const { OnceLock::new() }; 3];
+    static PUBLISHED: [OnceLock<Published>; Codec::ALL.len()] = [const { OnceLock::new() }; Codec::ALL.len()];
     PUBLISHED[codec as usize - 1].get_or_init(|| published(codec, &[shape(WIDTH, ROWS); PAGES as usize]))
 }
 
@@ -150,7 +150,7 @@ fn strategy_policy_and_codec_switched_between_frames_change_no_texel() {
         cache.set_strategy(Some("d"), ReadStrategy::ALL[rng.random_range(0..5usize)]);
         cache.set_policy(PolicyKind::ALL[rng.random_range(0..5usize)]);
         cache.set_compressed_policy(PolicyKind::ALL[rng.random_range(0..5usize)]);
-        let version = &twelve(Codec::ALL[rng.random_range(0..3usize)]).version;
+        let version = &twelve(Codec::ALL[rng.random_range(0..Codec::ALL.len())]).version;
         let mut reader = cache.reader(version);
         for (page, x, y) in look_ups(frame, 40) {
             let got = reader.texels([(page, x, y), (page, x + 1, y + 1)]).unwrap();
@@ -172,7 +172,7 @@ fn strategy_policy_and_codec_switched_between_frames_change_no_texel() {
 #[test]
 fn a_whole_page_takes_the_place_of_its_blocks() {
     let cache = lru(1 << 20);
-    let version = &twelve(Codec::ZstdChunk).version;
+    let version = &twelve(Codec::DEFAULT).version;
     let mut reader = cache.reader(version);
     for y in [0, 20, 40] {
         reader.texel(PageId(3), 0, y).unwrap();
@@ -187,7 +187,7 @@ fn a_whole_page_takes_the_place_of_its_blocks() {
 
 #[test]
 fn rows_decoded_again_are_redundant_and_the_others_are_not() {
-    let version = &twelve(Codec::ZstdChunk).version;
+    let version = &twelve(Codec::DEFAULT).version;
     let cases = [(ReadStrategy::OnDemand, 64, 0), (ReadStrategy::OnDemandRestart, 16 + 32 + 48 + 64, 96), (ReadStrategy::FullImage, 64, 0)];
     for (strategy, decoded, redundant) in cases {
         let cache = with_strategy(1 << 20, strategy);
@@ -206,7 +206,7 @@ fn rows_decoded_again_are_redundant_and_the_others_are_not() {
 
 #[test]
 fn compressed_blocks_in_memory_save_the_disk_and_are_counted() {
-    let published = published(Codec::ZstdChunk, &[shape(WIDTH, ROWS); 4]);
+    let published = published(Codec::DEFAULT, &[shape(WIDTH, ROWS); 4]);
     let cache = Cache::new(CacheOptions { compressed_bytes: 1 << 20, ..CacheOptions::decoded(1 << 20) });
     for _ in 0..3 {
         for page in 0..4 {
@@ -231,7 +231,7 @@ fn compressed_blocks_in_memory_save_the_disk_and_are_counted() {
 #[test]
 fn a_damaged_block_costs_its_own_rows_only_under_every_strategy_and_is_not_remembered() {
     for (strategy, compressed_bytes) in ReadStrategy::ALL.into_iter().zip([0, 1 << 20, 0, 1 << 20, 0]) {
-        let published = published(Codec::ZstdChunk, &[shape(WIDTH, ROWS); 2]);
+        let published = published(Codec::DEFAULT, &[shape(WIDTH, ROWS); 2]);
         let segments = published.root.path().join("segments");
         let path = std::fs::read_dir(segments).unwrap().next().unwrap().unwrap().path();
         let intact = std::fs::read(&path).unwrap();
@@ -276,7 +276,7 @@ fn rows_and_pages_that_are_not_there_are_errors() {
 
 #[test]
 fn a_recording_has_every_request_in_order() {
-    let published = twelve(Codec::ZstdChunk);
+    let published = twelve(Codec::DEFAULT);
     let cache = lru(1 << 20);
     cache.page(&published.version, PageId(9)).unwrap();
     cache.start_recording(1 << 20);

@@ -5,7 +5,7 @@ use super::*;
 /// Twenty-four pages, page p being p + 1 numbers wide.
 fn growing() -> &'static Published {
     static PUBLISHED: OnceLock<Published> = OnceLock::new();
-    PUBLISHED.get_or_init(|| published(Codec::ZstdChunk, &(1..=24).map(|width| shape(width, 1)).collect::<Vec<_>>()))
+    PUBLISHED.get_or_init(|| published(Codec::DEFAULT, &(1..=24).map(|width| shape(width, 1)).collect::<Vec<_>>()))
 }
 
 fn bytes(page: u32) -> u64 {
@@ -144,7 +144,7 @@ fn a_page_brought_ahead_is_a_hit_and_no_look_up() {
 
 #[test]
 fn versions_do_not_share_pages_and_are_counted_apart() {
-    let other = published(Codec::ZstdChunk, &[shape(1, 1), shape(2, 1)]);
+    let other = published(Codec::DEFAULT, &[shape(1, 1), shape(2, 1)]);
     let cache = lru(1 << 20);
     ask(&cache, 1);
     ask(&cache, 1);
