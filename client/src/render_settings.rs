@@ -2,7 +2,7 @@
 
 use clap::{Args, ValueEnum};
 use lumisphere_proto::v1alpha1 as wire;
-use wire::offset_surface_light_field_settings::{Blend as WireBlend, Component as WireComponent};
+use wire::offset_surface_light_field_settings::{Blend as WireBlend, Component as WireComponent, Filter as WireFilter};
 
 use crate::cameras::parse_vec3;
 
@@ -18,9 +18,21 @@ pub struct SettingsFlags {
     /// Specular reflectance, each in 0 to 1
     #[arg(long, value_name = "R,G,B", value_parser = parse_vec3, default_value = "1,1,1")]
     pub specular: [f32; 3],
+    /// How cube maps are read
+    #[arg(long, value_enum, default_value = "footprint")]
+    pub filter: Filter,
     /// Where to compute
     #[arg(long, value_enum, default_value = "auto")]
     pub backend: Backend,
+}
+
+/// What of a cube map a pixel reads.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Filter {
+    /// The mean over what the pixel covers
+    Footprint,
+    /// The four texels around its centre's direction
+    Bilinear,
 }
 
 /// Terms.
@@ -88,12 +100,12 @@ impl std::str::FromStr for Blend {
 impl SettingsFlags {
     /// The wire's form.
     pub fn to_wire(&self) -> wire::RenderSettings {
-        settings(self.component, self.blend, self.specular, self.backend)
+        settings(self.component, self.blend, self.specular, self.filter, self.backend)
     }
 }
 
 /// The wire's form.
-pub fn settings(component: Component, blend: Blend, specular: [f32; 3], backend: Backend) -> wire::RenderSettings {
+pub fn settings(component: Component, blend: Blend, specular: [f32; 3], filter: Filter, backend: Backend) -> wire::RenderSettings {
     let (blend, exponent) = match blend {
         Blend::Distance => (WireBlend::Distance, None),
         Blend::Angle => (WireBlend::Angle, None),
@@ -112,12 +124,17 @@ pub fn settings(component: Component, blend: Blend, specular: [f32; 3], backend:
         Backend::Gpu => wire::Backend::Gpu,
         Backend::Cpu => wire::Backend::Cpu,
     };
+    let filter = match filter {
+        Filter::Footprint => WireFilter::Footprint,
+        Filter::Bilinear => WireFilter::Bilinear,
+    };
     let [x, y, z] = specular;
     let settings = wire::OffsetSurfaceLightFieldSettings {
         component: component.into(),
         blend: blend.into(),
         exponent,
         specular_reflectance: Some(wire::Vector3 { x, y, z }),
+        filter: filter.into(),
     };
     wire::RenderSettings {
         representation: Some(wire::render_settings::Representation::OffsetSurfaceLightField(settings)),

@@ -94,6 +94,7 @@ fn mirror() -> wire::RenderSettings {
         blend: Blend::Normal.into(),
         exponent: None,
         specular_reflectance: None,
+        filter: 0,
     };
     wire::RenderSettings {
         representation: Some(wire::render_settings::Representation::OffsetSurfaceLightField(settings)),

@@ -29,6 +29,7 @@ pub fn settings(component: Component, blend: Blend) -> wire::RenderSettings {
         blend: blend.into(),
         exponent: None,
         specular_reflectance: None,
+        filter: 0,
     };
     wire::RenderSettings {
         representation: Some(wire::render_settings::Representation::OffsetSurfaceLightField(settings)),

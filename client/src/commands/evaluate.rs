@@ -14,7 +14,7 @@ use crate::cameras::{CameraFlags, Views, parse_vec3};
 use crate::context::Context;
 use crate::files::{Existing, prepare_folder};
 use crate::output::table;
-use crate::render_settings::{Backend, Blend, Component, settings};
+use crate::render_settings::{Backend, Blend, Component, Filter, settings};
 
 /// What to evaluate.
 #[derive(Debug, Args)]
@@ -36,6 +36,9 @@ pub struct EvaluateFlags {
     /// Specular reflectance, each in 0 to 1
     #[arg(long, value_name = "R,G,B", value_parser = parse_vec3, default_value = "1,1,1")]
     specular: [f32; 3],
+    /// How cube maps are read, separated by commas
+    #[arg(long, value_enum, value_delimiter = ',', default_value = "footprint")]
+    filters: Vec<Filter>,
     /// Where to compute
     #[arg(long, value_enum, default_value = "auto")]
     backend: Backend,
@@ -100,12 +103,12 @@ impl EvaluateFlags {
 
     /// Reconstruction has no blend, so it is evaluated once.
     fn settings(&self) -> Vec<wire::RenderSettings> {
-        let one = |component, blend| settings(component, blend, self.specular, self.backend);
-        let of = |&component: &Component| match component {
-            Component::Reconstruction => vec![one(component, Blend::Distance)],
-            Component::Mirror | Component::Full => self.blends.iter().map(|&blend| one(component, blend)).collect(),
+        let one = |component, blend, filter| settings(component, blend, self.specular, filter, self.backend);
+        let of = |component: Component, filter: Filter| match component {
+            Component::Reconstruction => vec![one(component, Blend::Distance, filter)],
+            Component::Mirror | Component::Full => self.blends.iter().map(|&blend| one(component, blend, filter)).collect(),
         };
-        self.components.iter().flat_map(of).collect()
+        self.filters.iter().flat_map(|&filter| self.components.iter().flat_map(move |&component| of(component, filter))).collect()
     }
 }
 
@@ -145,6 +148,8 @@ struct Row {
     #[serde(default)]
     exponent: Option<f64>,
     #[serde(default)]
+    filter: Option<String>,
+    #[serde(default)]
     truth: Option<String>,
     #[serde(default)]
     rmse_rgb: Vec<Option<f64>>,
@@ -164,8 +169,8 @@ struct Row {
     millis_per_frame: Option<f64>,
 }
 
-const HEAD: [&str; 15] =
-    ["COMPONENT", "BLEND", "TRUTH", "R", "G", "B", "L*", "a*", "b*", "PSNR", "SSIM", "FLIP", "dE00", "dE00 p95", "ms/frame"];
+const HEAD: [&str; 16] =
+    ["COMPONENT", "BLEND", "FILTER", "TRUTH", "R", "G", "B", "L*", "a*", "b*", "PSNR", "SSIM", "FLIP", "dE00", "dE00 p95", "ms/frame"];
 
 /// The table of errors: RMSE in linear RGB and in L*a*b*, PSNR (dB), SSIM, FLIP, CIEDE2000.
 fn summary_text(summary: &Value) -> String {
@@ -174,7 +179,7 @@ fn summary_text(summary: &Value) -> String {
         return format!("{summary:#}");
     }
     let cells: Vec<Vec<String>> = std::iter::once(HEAD.map(String::from).to_vec()).chain(rows.iter().map(Row::cells)).collect();
-    table(&cells, &(3..HEAD.len()).collect::<Vec<_>>())
+    table(&cells, &(4..HEAD.len()).collect::<Vec<_>>())
 }
 
 impl Row {
@@ -186,7 +191,8 @@ impl Row {
         };
         let number = |value: Option<f64>, digits: usize| value.map_or("-".to_string(), |v| format!("{v:.digits$}"));
         let nth = |values: &[Option<f64>], i: usize| number(values.get(i).copied().flatten(), 5);
-        let mut cells = vec![self.component.clone(), blend, self.truth.clone().unwrap_or_else(|| "-".into())];
+        let name = |name: &Option<String>| name.clone().unwrap_or_else(|| "-".into());
+        let mut cells = vec![self.component.clone(), blend, name(&self.filter), name(&self.truth)];
         cells.extend((0..3).map(|i| nth(&self.rmse_rgb, i)));
         cells.extend((0..3).map(|i| nth(&self.rmse_lab, i)));
         let figures = [

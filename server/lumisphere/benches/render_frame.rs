@@ -13,7 +13,8 @@ use lumisphere::geometry::{Camera, Intrinsics, Pose};
 use lumisphere::progress::Unattended;
 use lumisphere::render::{Backend, Frame, FrameRequest, Outputs, Refine, Renderer, Representation, Settings};
 use lumisphere::representations::offset_surface_light_field::{
-    Blend, Component, ConstructSettings, OffsetSurfaceLightField, PartsError, Settings as OslfSettings, Spacing, construct, from_parts,
+    Blend, Component, ConstructSettings, Filter, OffsetSurfaceLightField, PartsError, Settings as OslfSettings, Spacing, construct,
+    from_parts,
 };
 use lumisphere::representations::{CachedPages, PageSource};
 use lumisphere::scenes::{BuiltinOptions, builtin};
@@ -58,7 +59,12 @@ fn main() {
         (Component::Mirror, Blend::Normal { exponent: 4.0 }),
         (Component::Full, Blend::Normal { exponent: 4.0 }),
     ] {
-        let settings = Settings::OffsetSurfaceLightField(OslfSettings { component, blend, specular_reflectance: Vec3::ONE });
+        let settings = Settings::OffsetSurfaceLightField(OslfSettings {
+            component,
+            blend,
+            specular_reflectance: Vec3::ONE,
+            filter: Filter::Footprint,
+        });
         for backend in backends(renderer.adapter().is_some()) {
             let render = |camera: &Camera| {
                 renderer.render(&field, &pages, &request(camera, &settings, Refine::Whole), Some(backend)).expect("a frame")
@@ -80,7 +86,8 @@ fn report_paging(field: &Arc<dyn Representation>, version: &Arc<DatasetVersion>,
         let wall = 1e3 * begin.elapsed().as_secs_f64();
         println!("reading {count} {what}, one thread: {wall:.0} ms, {:.0} ms CPU", cpu_millis() - before);
     }
-    let settings = OslfSettings { component: Component::Mirror, blend: Blend::Normal { exponent: 4.0 }, specular_reflectance: Vec3::ONE };
+    let blend = Blend::Normal { exponent: 4.0 };
+    let settings = OslfSettings { component: Component::Mirror, blend, specular_reflectance: Vec3::ONE, filter: Filter::Footprint };
     let settings = Settings::OffsetSurfaceLightField(settings);
     println!("cap, pages  ahead  not final  uploaded  brought ahead  CPU a frame, ms");
     for (cap, ahead) in [(4, false), (4, true), (8, false), (8, true), (16, false), (16, true)] {

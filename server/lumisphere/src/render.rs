@@ -399,6 +399,7 @@ mod tests {
             component: oslf::Component::Mirror,
             blend: oslf::Blend::Distance,
             specular_reflectance: glam::Vec3::ONE,
+            filter: oslf::Filter::Footprint,
         });
         let outputs = Outputs { depth: false, provenance: false };
         let request = FrameRequest { camera: &camera, settings: &settings, outputs, refine: Refine::Whole };

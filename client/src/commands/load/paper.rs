@@ -11,7 +11,7 @@ use crate::context::{Context, Server};
 use crate::exit::Failure;
 use crate::output::table;
 use crate::progress::{Meter, Progress};
-use crate::render_settings::{Backend, Blend, Component, settings};
+use crate::render_settings::{Backend, Blend, Component, Filter, settings};
 
 /// Directions a pixel of the glossy reflection.
 const LOBE_SAMPLES: u32 = 16;

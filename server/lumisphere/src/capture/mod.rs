@@ -2,6 +2,8 @@
 
 mod background;
 mod cube_maps;
+mod levels;
 
 pub use background::{Background, BackgroundSurface, bake_background};
-pub use cube_maps::{CaptureError, Viewpoint, shrunk_faces, trace_cube_maps};
+pub use cube_maps::{CaptureError, Viewpoint, trace_cube_maps};
+pub use levels::{coarser_levels, halved, stacked};

@@ -9,7 +9,7 @@ use crate::geometry::Camera;
 use crate::images::{CompareError, CompareOptions, Comparison, Image, absolute_error_image, compare};
 use crate::progress::{Cancelled, Progress};
 use crate::raytrace::{TraceError, TraceSettings};
-use crate::representations::Settings;
+use crate::representations::{SettingName, Settings};
 use crate::scenes::Scene;
 
 pub use truth::{Truth, TruthRenderer, ViewTruth};
@@ -44,17 +44,6 @@ pub struct Row {
     pub error: Comparison,
     /// Median time of a frame.
     pub millis_per_frame: f64,
-}
-
-/// A setting by the names that the command line uses.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct SettingName {
-    /// `reconstruction`, `mirror`, `full`.
-    pub component: &'static str,
-    /// `distance`, `angle`, `average`, `reflection`, `normal`, `environment_map`; none where nothing is reflected.
-    pub blend: Option<&'static str>,
-    /// N of `reflection` and `normal`.
-    pub exponent: Option<f32>,
 }
 
 /// A rendered frame, as far as the evaluation needs it.
@@ -134,7 +123,7 @@ pub fn evaluate<E: std::error::Error>(
             let comparison = compare(&reference, &rendered.color, Some(&view.mask), CompareOptions::STANDARD)?;
             total.add(comparison, rendered.millis);
             let error = absolute_error_image(&reference, &rendered.color)?;
-            let setting = SettingName::of(settings);
+            let setting = settings.name();
             let (component, truth) = (setting.component, truth.name());
             for (name, image) in [
                 (format!("view-{v:02}-{component}-{truth}-truth"), &reference),
@@ -150,34 +139,20 @@ pub fn evaluate<E: std::error::Error>(
         }
     }
     progress.report("rendering and comparing", steps, steps);
-    Ok(pairs.iter().zip(totals).map(|((settings, truth), total)| total.row(SettingName::of(settings), *truth)).collect())
+    Ok(pairs.iter().zip(totals).map(|((settings, truth), total)| total.row(settings.name(), *truth)).collect())
 }
 
 // Which setting is compared with which truth: what shows no reflection has one truth only.
 fn pairs(plan: &Plan) -> Vec<(Settings, Truth)> {
     let mut pairs = Vec::new();
     for settings in &plan.settings {
-        if SettingName::of(settings).blend.is_none() {
+        if settings.name().blend.is_none() {
             pairs.push((*settings, Truth::Diffuse));
         } else {
             pairs.extend(plan.mirror_truths.iter().map(|t| (*settings, *t)));
         }
     }
     pairs
-}
-
-impl SettingName {
-    /// The names of `settings`.
-    pub fn of(settings: &Settings) -> Self {
-        let (component, blend, exponent) = settings.names();
-        Self { component, blend, exponent }
-    }
-
-    /// Joined by hyphens, for file names.
-    pub fn slug(&self) -> String {
-        let exponent = self.exponent.map(|n| n.to_string());
-        [Some(self.component), self.blend, exponent.as_deref()].into_iter().flatten().collect::<Vec<_>>().join("-")
-    }
 }
 
 // What was measured, view by view.

@@ -97,6 +97,14 @@ impl Camera {
         self.ray(Vec2::new(i as f32 + 0.5, j as f32 + 0.5))
     }
 
+    /// Derivatives of a pixel's ray by its column and row, per pixel: of that vector along the ray which `direction`, the ray's unit
+    /// vector, is at this pixel. (Where it changes its length, that tells nothing of where it points.)
+    pub fn ray_derivatives(&self, direction: Vec3) -> [Vec3; 2] {
+        let axes = self.pose.rotation();
+        let scale = -axes.z_axis.dot(direction) / self.intrinsics.focal_px;
+        [axes.x_axis * scale.x, -axes.y_axis * scale.y]
+    }
+
     /// Image position of a world point; None behind the camera.
     pub fn project(&self, point: Vec3) -> Option<Vec2> {
         let p = self.pose.camera_from_world_point(point);
@@ -119,6 +127,17 @@ mod tests {
         // f32 projection at 64 pixels: well under a thousandth of a pixel.
         assert!((px - Vec2::new(7.5, 40.5)).length() < 1e-3);
         assert_eq!(camera.project(camera.pixel_ray(7, 40).at(-1.0)), None);
+    }
+
+    #[test]
+    fn derivatives_lead_from_a_pixels_ray_to_its_neighbours() {
+        let pose = Pose::look_at(Vec3::new(3.0, 2.0, 5.0), Vec3::ZERO, Vec3::Y).unwrap();
+        let intrinsics = Intrinsics { focal_px: Vec2::new(60.0, 45.0), ..Intrinsics::from_vfov(40.0, 64, 48).unwrap() };
+        let camera = Camera::new(intrinsics, pose).unwrap();
+        let d = camera.pixel_ray(7, 40).direction;
+        let [across, down] = camera.ray_derivatives(d);
+        assert!(((d + 3.0 * across).normalize() - camera.pixel_ray(10, 40).direction).length() < 1e-6);
+        assert!(((d - 5.0 * down).normalize() - camera.pixel_ray(7, 35).direction).length() < 1e-6);
     }
 
     #[test]

@@ -3,7 +3,10 @@
 //!
 //! Several slots share a layer, because devices allow few layers; several textures share an atlas, because some devices limit one
 //! texture to a gigabyte. The indirection buffer has a word for each page: its slot's column (bits 0–7) and row (8–15) in its layer,
-//! its layer (16–28) and texture (29–30), or all ones where the page is not resident.
+//! its layer (16–28) and texture (29–30), or all ones where the page is not resident. Some slots can be set apart for images that never
+//! leave; their words follow those of the pages.
+//!
+//! A slot holds levels of its image, each half the size of the one before, in the texture's levels of detail.
 
 use std::sync::Arc;
 
@@ -31,6 +34,10 @@ pub(crate) struct AtlasShape {
     pub page_size: u32,
     /// Four channels of this.
     pub pixel: PixelFormat,
+    /// Levels of detail in a slot, at least 1; `page_size` is a multiple of 2 to the power of one less.
+    pub levels: u32,
+    /// Slots set apart.
+    pub pinned_slots: usize,
 }
 
 /// The slots and who is in them.
@@ -56,23 +63,36 @@ impl AtlasShape {
         4 * self.pixel.bytes() as u32
     }
 
-    /// Of a page's texels.
+    /// Of a slot's texels, all levels.
     pub fn page_bytes(self) -> u64 {
-        u64::from(self.page_size).pow(2) * u64::from(self.texel_bytes())
+        self.bytes_of_levels(self.page_size)
     }
 
     /// What an atlas takes beside its slots: the upload ring and the indirection.
     pub fn bytes_beside(self) -> u64 {
-        UploadRing::bytes_for(self.staged_bytes()) + 4 * self.page_count as u64
+        UploadRing::bytes_for(self.staged_bytes()) + 4 * self.words() as u64
     }
 
-    // In the upload ring, where rows are aligned.
+    fn words(self) -> usize {
+        self.page_count + self.pinned_slots
+    }
+
+    // Of a square of `edge` texels and its levels.
+    fn bytes_of_levels(self, edge: u32) -> u64 {
+        (0..self.levels).map(|level| u64::from(edge >> level).pow(2) * u64::from(self.texel_bytes())).sum()
+    }
+
+    // A slot in the upload ring, where rows are aligned.
     fn staged_bytes(self) -> u64 {
-        u64::from(self.staged_stride()) * u64::from(self.page_size)
+        (0..self.levels).map(|level| self.staged_level_bytes(level)).sum()
     }
 
-    fn staged_stride(self) -> u32 {
-        (self.page_size * self.texel_bytes()).next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT)
+    fn staged_level_bytes(self, level: u32) -> u64 {
+        u64::from(self.staged_stride(level)) * u64::from(self.page_size >> level)
+    }
+
+    fn staged_stride(self, level: u32) -> u32 {
+        ((self.page_size >> level) * self.texel_bytes()).next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT)
     }
 
     fn format(self) -> wgpu::TextureFormat {
@@ -86,7 +106,7 @@ impl AtlasShape {
     fn slots_per_edge(self, gpu: &Gpu, budget_bytes: u64) -> u32 {
         let edge = LAYER_EDGE_TEXELS.max(self.page_size).min(gpu.device().limits().max_texture_dimension_2d);
         let page_bytes = self.page_bytes();
-        let all_pages = (self.page_count as f64).sqrt().ceil() as u32;
+        let all_pages = (self.words() as f64).sqrt().ceil() as u32;
         // A tenth of the budget a layer wastes less than a tenth of it by rounding.
         let in_budget = ((budget_bytes / page_bytes) as f64 / 10.0).sqrt().ceil() as u32;
         (edge / self.page_size).min(256).min(all_pages).min(in_budget)
@@ -96,13 +116,13 @@ impl AtlasShape {
 impl Atlas {
     /// As many slots as there are pages, or as fit into `budget_bytes` beside the upload ring and the indirection.
     pub fn new(gpu: &Gpu, shape: AtlasShape, budget_bytes: u64, policy: PolicyKind) -> Result<Self, GpuError> {
-        let beside = shape.bytes_beside();
-        let one_page = GpuError::OverBudget { what: "one page", needed_bytes: beside + shape.page_bytes(), budget_bytes };
-        let budget_bytes = budget_bytes.checked_sub(beside + shape.page_bytes()).ok_or(one_page)? + shape.page_bytes();
+        let (beside, least) = (shape.bytes_beside(), (1 + shape.pinned_slots as u64) * shape.page_bytes());
+        let one_page = GpuError::OverBudget { what: "one page", needed_bytes: beside + least, budget_bytes };
+        let budget_bytes = budget_bytes.checked_sub(beside + least).ok_or(one_page.clone())? + least;
         let slots_per_edge = shape.slots_per_edge(gpu, budget_bytes);
         let edge = slots_per_edge * shape.page_size;
-        let layer_bytes = u64::from(edge).pow(2) * u64::from(shape.texel_bytes());
-        let wanted = shape.page_count.div_ceil((slots_per_edge as usize).pow(2).max(1)) as u64;
+        let layer_bytes = shape.bytes_of_levels(edge);
+        let wanted = shape.words().div_ceil((slots_per_edge as usize).pow(2).max(1)) as u64;
         let affordable = budget_bytes / layer_bytes;
         let most = (MAX_TEXTURE_BYTES / layer_bytes).min(u64::from(gpu.device().limits().max_texture_array_layers)).min(1 << 13);
         let mut left = wanted.min(affordable).min(most * ATLAS_TEXTURES as u64);
@@ -111,18 +131,21 @@ impl Atlas {
             layers.push(left.min(most) as u32);
             left -= left.min(most);
         }
-        let textures: Vec<_> = layers.iter().map(|layers| array_texture(gpu, shape.format(), edge, *layers)).collect();
+        let textures: Vec<_> = layers.iter().map(|layers| array_texture(gpu, shape.format(), edge, *layers, shape.levels)).collect();
         let mut views: Vec<_> = textures.iter().map(array_view).collect();
         // Unused bindings want a texture all the same.
-        views.resize_with(ATLAS_TEXTURES, || array_view(&array_texture(gpu, shape.format(), 1, 1)));
+        views.resize_with(ATLAS_TEXTURES, || array_view(&array_texture(gpu, shape.format(), 1, 1, 1)));
         let slots = layers.iter().sum::<u32>() as usize * (slots_per_edge as usize).pow(2);
-        let words = vec![NOT_RESIDENT; shape.page_count];
+        if slots <= shape.pinned_slots {
+            return Err(one_page);
+        }
+        let words = vec![NOT_RESIDENT; shape.words()];
         let bytes = layers.iter().map(|l| u64::from(*l)).sum::<u64>() * layer_bytes + beside;
         gpu.check()?;
-        Ok(Self {
-            slot_of_page: words.clone(),
+        let mut atlas = Self {
+            slot_of_page: vec![NOT_RESIDENT; shape.page_count],
             page_of_slot: vec![None; slots],
-            free: (0..slots as u32).rev().collect(),
+            free: (shape.pinned_slots as u32..slots as u32).rev().collect(),
             policy: policy.make(slots as u64),
             indirection: storage_buffer(gpu, "indirection", &words, wgpu::BufferUsages::COPY_DST),
             ring: UploadRing::new(gpu, shape.staged_bytes()),
@@ -134,7 +157,12 @@ impl Atlas {
             layers,
             words,
             bytes,
-        })
+        };
+        for slot in 0..shape.pinned_slots as u32 {
+            atlas.words[shape.page_count + slot as usize] = atlas.word(slot);
+        }
+        gpu.queue().write_buffer(&atlas.indirection, 0, bytemuck::cast_slice(&atlas.words));
+        Ok(atlas)
     }
 
     /// On the device: textures, indirection and the upload ring.
@@ -144,7 +172,7 @@ impl Atlas {
 
     /// Pages that can be resident at once.
     pub fn capacity(&self) -> usize {
-        self.page_of_slot.len()
+        self.page_of_slot.len() - self.shape.pinned_slots
     }
 
     /// Slots that hold nothing.
@@ -162,7 +190,7 @@ impl Atlas {
         &self.views
     }
 
-    /// A word for each page.
+    /// A word for each page, then for each slot set apart.
     pub fn indirection(&self) -> &wgpu::Buffer {
         &self.indirection
     }
@@ -198,7 +226,7 @@ impl Atlas {
 
     /// Another policy from now on; it knows who is there but not since when.
     pub fn set_policy(&mut self, kind: PolicyKind) {
-        self.policy = kind.make(self.capacity() as u64);
+        self.policy = kind.make(self.page_of_slot.len() as u64);
         for (slot, page) in self.page_of_slot.iter().enumerate() {
             if let Some(page) = page {
                 self.policy.insert(slot as u32, PageKey(u64::from(*page)), 1);
@@ -206,11 +234,22 @@ impl Atlas {
         }
     }
 
-    /// Makes `pages` resident, in slots that are empty or given up by pages that `keep` does not name. Their shape was checked.
-    pub fn upload(&mut self, gpu: &Gpu, pages: &[(u32, Arc<Page>)], keep: &dyn Fn(u32) -> bool) -> Result<(), GpuError> {
+    /// Fills the slots set apart, each with an image and as many levels of it as will be read.
+    pub fn upload_pinned(&mut self, gpu: &Gpu, images: &[Vec<Arc<Page>>]) -> Result<(), GpuError> {
+        assert!(images.len() <= self.shape.pinned_slots, "{} images for {} slots", images.len(), self.shape.pinned_slots);
+        let slots: Vec<u32> = (0..images.len() as u32).collect();
+        for (batch, slots) in images.chunks(self.ring.pages_at_once()).zip(slots.chunks(self.ring.pages_at_once())) {
+            self.send(gpu, &batch.iter().map(Vec::as_slice).collect::<Vec<_>>(), slots)?;
+        }
+        gpu.check()
+    }
+
+    /// Makes `pages` resident, each with as many levels as will be read, in slots that are empty or given up by pages that `keep` does not
+    /// name. Their shape was checked.
+    pub fn upload(&mut self, gpu: &Gpu, pages: &[(u32, Vec<Arc<Page>>)], keep: &dyn Fn(u32) -> bool) -> Result<(), GpuError> {
         for batch in pages.chunks(self.ring.pages_at_once()) {
             let places = batch.iter().map(|(number, _)| self.admit(*number, keep)).collect::<Result<Vec<_>, _>>()?;
-            self.send(gpu, batch, &places)?;
+            self.send(gpu, &batch.iter().map(|(_, levels)| levels.as_slice()).collect::<Vec<_>>(), &places)?;
         }
         self.stats.uploads += pages.len() as u64;
         self.stats.bytes_uploaded += pages.len() as u64 * self.shape.page_bytes();
@@ -259,24 +298,32 @@ impl Atlas {
         victim
     }
 
-    fn send(&mut self, gpu: &Gpu, batch: &[(u32, Arc<Page>)], slots: &[u32]) -> Result<(), GpuError> {
-        let (shape, stride) = (self.shape, self.shape.staged_stride());
-        let row_bytes = (shape.page_size * shape.texel_bytes()) as usize;
+    fn send(&mut self, gpu: &Gpu, batch: &[&[Arc<Page>]], slots: &[u32]) -> Result<(), GpuError> {
+        let shape = self.shape;
         let origins: Vec<_> = slots.iter().map(|slot| self.place(*slot)).collect();
+        let level_offset = |level: u32| (0..level).map(|finer| shape.staged_level_bytes(finer)).sum::<u64>();
         let fill = |k: usize, mut place: wgpu::WriteOnly<'_, [u8]>| {
-            for (row, texels) in batch[k].1.bytes().chunks_exact(row_bytes).enumerate() {
-                let start = row * stride as usize;
-                place.slice(start..start + row_bytes).copy_from_slice(texels);
+            for (level, image) in (0u32..).zip(batch[k]) {
+                let row_bytes = ((shape.page_size >> level) * shape.texel_bytes()) as usize;
+                for (row, texels) in image.bytes().chunks_exact(row_bytes).enumerate() {
+                    let start = level_offset(level) as usize + row * shape.staged_stride(level) as usize;
+                    place.slice(start..start + row_bytes).copy_from_slice(texels);
+                }
             }
         };
         let textures = &self.textures;
         let copy = |encoder: &mut wgpu::CommandEncoder, buffer: &wgpu::Buffer, k: usize, offset: u64| {
             let (texture, layer, column, row) = origins[k];
-            let layout = wgpu::TexelCopyBufferLayout { offset, bytes_per_row: Some(stride), rows_per_image: None };
-            let origin = wgpu::Origin3d { x: column * shape.page_size, y: row * shape.page_size, z: layer };
-            let target = wgpu::TexelCopyTextureInfo { texture: &textures[texture], mip_level: 0, origin, aspect: wgpu::TextureAspect::All };
-            let extent = wgpu::Extent3d { width: shape.page_size, height: shape.page_size, depth_or_array_layers: 1 };
-            encoder.copy_buffer_to_texture(wgpu::TexelCopyBufferInfo { buffer, layout }, target, extent);
+            for level in 0..batch[k].len() as u32 {
+                let edge = shape.page_size >> level;
+                let offset = offset + level_offset(level);
+                let layout = wgpu::TexelCopyBufferLayout { offset, bytes_per_row: Some(shape.staged_stride(level)), rows_per_image: None };
+                let origin = wgpu::Origin3d { x: column * edge, y: row * edge, z: layer };
+                let aspect = wgpu::TextureAspect::All;
+                let target = wgpu::TexelCopyTextureInfo { texture: &textures[texture], mip_level: level, origin, aspect };
+                let extent = wgpu::Extent3d { width: edge, height: edge, depth_or_array_layers: 1 };
+                encoder.copy_buffer_to_texture(wgpu::TexelCopyBufferInfo { buffer, layout }, target, extent);
+            }
         };
         self.ring.send(gpu, batch.len(), fill, copy)
     }
@@ -313,11 +360,11 @@ pub(crate) fn conform(page: Arc<Page>, atlas: AtlasShape) -> Result<Arc<Page>, S
     Page::from_f32(wanted, &values).map(Arc::new)
 }
 
-fn array_texture(gpu: &Gpu, format: wgpu::TextureFormat, edge: u32, layers: u32) -> wgpu::Texture {
+fn array_texture(gpu: &Gpu, format: wgpu::TextureFormat, edge: u32, layers: u32, levels: u32) -> wgpu::Texture {
     gpu.device().create_texture(&wgpu::TextureDescriptor {
         label: Some("atlas"),
         size: wgpu::Extent3d { width: edge, height: edge, depth_or_array_layers: layers },
-        mip_level_count: 1,
+        mip_level_count: levels,
         sample_count: 1,
         dimension: wgpu::TextureDimension::D2,
         format,

@@ -11,6 +11,7 @@ mod requests;
 
 use std::sync::Arc;
 
+use serde::Serialize;
 use thiserror::Error;
 
 use crate::geometry::Camera;
@@ -53,12 +54,37 @@ pub enum Settings {
     OffsetSurfaceLightField(oslf::Settings),
 }
 
+/// A setting in reports.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct SettingName {
+    /// `reconstruction`, `mirror`, `full`.
+    pub component: &'static str,
+    /// `distance`, `angle`, `average`, `reflection`, `normal`, `environment_map`; none where nothing is reflected.
+    pub blend: Option<&'static str>,
+    /// N of `reflection` and `normal`.
+    pub exponent: Option<f32>,
+    /// `footprint` or `bilinear`.
+    pub filter: &'static str,
+}
+
+impl SettingName {
+    /// Joined by hyphens, for file names; the filter only where it is not the default one.
+    pub fn slug(&self) -> String {
+        let exponent = self.exponent.map(|n| n.to_string());
+        let filter = (self.filter != oslf::Filter::default().name()).then_some(self.filter);
+        [Some(self.component), self.blend, exponent.as_deref(), filter].into_iter().flatten().collect::<Vec<_>>().join("-")
+    }
+}
+
 impl Settings {
-    /// Names of component and blend, and the blend's exponent; no blend where nothing is reflected.
-    pub fn names(&self) -> (&'static str, Option<&'static str>, Option<f32>) {
+    /// By the names that the command line uses.
+    pub fn name(&self) -> SettingName {
         match self {
-            Self::OffsetSurfaceLightField(s) if s.component == oslf::Component::Reconstruction => (s.component.name(), None, None),
-            Self::OffsetSurfaceLightField(s) => (s.component.name(), Some(s.blend.name()), s.blend.exponent()),
+            Self::OffsetSurfaceLightField(s) => {
+                let blend = (s.component != oslf::Component::Reconstruction).then_some(s.blend);
+                let exponent = blend.and_then(oslf::Blend::exponent);
+                SettingName { component: s.component.name(), blend: blend.map(oslf::Blend::name), exponent, filter: s.filter.name() }
+            }
         }
     }
 
@@ -198,7 +224,7 @@ pub enum RenderError {
     #[error(transparent)]
     Store(#[from] StoreError),
     /// A page does not have the shape that the dataset's parameters announce.
-    #[error("page {page} has {width}x{height} texels of {channels} channels, {expected}x{expected} of at least 3 expected")]
+    #[error("page {page} has {width}x{height} texels of {channels} channels, {}x{} of at least 3 expected", expected[0], expected[1])]
     PageShape {
         /// Which page.
         page: u32,
@@ -208,8 +234,8 @@ pub enum RenderError {
         height: u32,
         /// As read.
         channels: u32,
-        /// Texels along an edge.
-        expected: u32,
+        /// Columns and rows.
+        expected: [u32; 2],
     },
     /// The GPU was asked for and cannot, or there is none.
     #[cfg(feature = "gpu")]

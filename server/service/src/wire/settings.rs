@@ -103,7 +103,17 @@ fn oslf_settings(message: proto::OffsetSurfaceLightFieldSettings, field: &str) -
     for (channel, value) in ["x", "y", "z"].into_iter().zip(specular_reflectance.to_array()) {
         within(value, 0.0, 1.0, &format!("{field}.specular_reflectance.{channel}"))?;
     }
-    Ok(oslf::Settings { component, blend, specular_reflectance })
+    let filter = filter(message.filter, &format!("{field}.filter"))?;
+    Ok(oslf::Settings { component, blend, specular_reflectance, filter })
+}
+
+fn filter(value: i32, field: &str) -> Result<oslf::Filter, ApiError> {
+    use proto::offset_surface_light_field_settings::Filter;
+    match Filter::try_from(value) {
+        Ok(Filter::Unspecified | Filter::Footprint) => Ok(oslf::Filter::Footprint),
+        Ok(Filter::Bilinear) => Ok(oslf::Filter::Bilinear),
+        Err(_) => Err(ApiError::field(field, format!("{value}, FOOTPRINT or BILINEAR expected"))),
+    }
 }
 
 fn component(value: i32, field: &str) -> Result<oslf::Component, ApiError> {
@@ -170,7 +180,7 @@ mod tests {
     use super::*;
 
     fn message(component: i32, blend: i32) -> proto::OffsetSurfaceLightFieldSettings {
-        proto::OffsetSurfaceLightFieldSettings { component, blend, exponent: None, specular_reflectance: None }
+        proto::OffsetSurfaceLightFieldSettings { component, blend, exponent: None, specular_reflectance: None, filter: 0 }
     }
 
     #[test]
@@ -180,6 +190,8 @@ mod tests {
         assert!(refused(9, 1).starts_with("s.component: 9"));
         assert!(refused(2, 0).starts_with("s.blend: 0"));
         assert!(refused(3, 77).starts_with("s.blend: 77"));
+        let sharper = proto::OffsetSurfaceLightFieldSettings { filter: 9, ..message(1, 0) };
+        assert!(oslf_settings(sharper, "s").unwrap_err().to_string().starts_with("s.filter: 9"));
         let nan = proto::OffsetSurfaceLightFieldSettings { exponent: Some(f32::NAN), ..message(2, 4) };
         assert!(oslf_settings(nan, "s").unwrap_err().to_string().starts_with("s.exponent: NaN"));
         let bright = proto::OffsetSurfaceLightFieldSettings {
@@ -194,6 +206,7 @@ mod tests {
         assert_eq!(oslf_settings(message(1, 0), "s").unwrap().component, oslf::Component::Reconstruction);
         assert_eq!(oslf_settings(message(2, 5), "s").unwrap().blend, oslf::Blend::Normal { exponent: 4.0 });
         assert_eq!(oslf_settings(message(2, 5), "s").unwrap().specular_reflectance, Vec3::ONE);
+        assert_eq!(oslf_settings(message(2, 5), "s").unwrap().filter, oslf::Filter::Footprint);
     }
 
     #[test]

@@ -32,3 +32,13 @@ fn pixel_direction(camera: Camera, i: u32, j: u32) -> vec3<f32> {
     let d = (at - camera.center) / vec2(camera.focal_x, camera.focal_y);
     return normalize(d.x * camera.right - d.y * camera.up - camera.backward);
 }
+
+struct RayDerivatives {
+    across: vec3<f32>,
+    down: vec3<f32>,
+}
+
+fn ray_derivatives(camera: Camera, direction: vec3<f32>) -> RayDerivatives {
+    let depth = -dot(camera.backward, direction);
+    return RayDerivatives(camera.right * (depth / camera.focal_x), -camera.up * (depth / camera.focal_y));
+}

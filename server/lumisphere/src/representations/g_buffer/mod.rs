@@ -34,7 +34,8 @@ pub(crate) use rasterize::{SOURCE as G_BUFFER_SOURCE, VISIBILITY_SOURCE, resolve
 pub(crate) use texture_pyramid::TexturePyramids;
 pub(crate) use trace::GBufferTracer;
 
-/// One pixel. `a` = (u, v, code, distance along the ray), `b` = (normal | radiance, 0); `code` is written and read by [`Seen`].
+/// One pixel. `a` = (u, v, code, distance along the ray), `b` = (normal | radiance, 0); `code` is written and read by [`Seen`]. The
+/// differentials are Igehy's ("Tracing ray differentials", 1999).
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub struct GBufferPixel {
@@ -42,6 +43,18 @@ pub struct GBufferPixel {
     pub a: [f32; 4],
     /// The object's unit shading normal, or the finished radiance of everything else.
     pub b: [f32; 4],
+    /// Derivatives, per pixel, of the object's point and of its unit normal, by the pixel's column and by its row; 0 for everything else.
+    pub differentials: [SurfaceDifferential; 2],
+}
+
+/// How the object's point and unit normal change from one pixel to the next, on the plane of the triangle that is seen.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct SurfaceDifferential {
+    /// Three coordinates and 0.
+    pub position: [f32; 4],
+    /// Three coordinates and 0.
+    pub normal: [f32; 4],
 }
 
 /// What a pixel sees.

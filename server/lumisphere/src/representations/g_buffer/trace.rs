@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use glam::{Vec2, Vec3};
 
-use super::{BackgroundVertex, GBufferPixel, ProxyGeometry, Seen, pixel_angle};
+use super::{BackgroundVertex, GBufferPixel, ObjectVertex, ProxyGeometry, Seen, SurfaceDifferential, pixel_angle};
 use crate::geometry::{Camera, Ray};
 use crate::raytrace::{Bvh, Stack};
 
@@ -38,24 +38,29 @@ impl GBufferTracer {
         let weights = Vec3::new(1.0 - hit.u - hit.v, hit.u, hit.v);
         let object = self.geometry.object_triangles.len();
         match (hit.triangle as usize).checked_sub(object) {
-            None => self.object(ray, distance, hit.triangle as usize, weights),
+            None => self.object(ray, distance, hit.triangle as usize, weights, camera.ray_derivatives(ray.direction)),
             Some(t) => self.background(ray, distance, t, weights, pixel_angle(camera)),
         }
     }
 
     fn nothing(&self, ray: Ray) -> GBufferPixel {
         let radiance = self.geometry.environment.radiance(ray.direction);
-        GBufferPixel { a: [0.0, 0.0, Seen::Nothing.code(), f32::INFINITY], b: radiance.extend(0.0).into() }
+        GBufferPixel {
+            a: [0.0, 0.0, Seen::Nothing.code(), f32::INFINITY],
+            b: radiance.extend(0.0).into(),
+            differentials: Default::default(),
+        }
     }
 
-    fn object(&self, ray: Ray, distance: f32, t: usize, weights: Vec3) -> GBufferPixel {
+    fn object(&self, ray: Ray, distance: f32, t: usize, weights: Vec3, derivatives: [Vec3; 2]) -> GBufferPixel {
         let corners = self.geometry.object_triangles[t].map(|v| self.geometry.object_vertices[v as usize]);
         let uv: Vec2 = (0..3).map(|k| weights[k] * Vec2::from(corners[k].uv)).sum();
         let normal: Vec3 = (0..3).map(|k| weights[k] * Vec3::from(corners[k].normal)).sum();
         let part = corners[0].part;
         let seen = if faces(corners.map(|c| c.position), ray) { Seen::Object { part } } else { Seen::ObjectBack { part } };
+        let differentials = derivatives.map(|by| differential(corners, normal, ray.direction, distance, by));
         let normal = normal.normalize_or(-ray.direction);
-        GBufferPixel { a: [uv.x, uv.y, seen.code(), distance], b: normal.extend(0.0).into() }
+        GBufferPixel { a: [uv.x, uv.y, seen.code(), distance], b: normal.extend(0.0).into(), differentials }
     }
 
     fn background(&self, ray: Ray, distance: f32, t: usize, weights: Vec3, pixel_angle: f32) -> GBufferPixel {
@@ -74,12 +79,37 @@ impl GBufferTracer {
         let emission = if front { Vec3::from(material.emission) } else { Vec3::ZERO };
         let radiance = emission + albedo * irradiance * std::f32::consts::FRAC_1_PI;
         let seen = if material.unknown == 1 { Seen::Unknown } else { Seen::Background };
-        GBufferPixel { a: [uv.x, uv.y, seen.code(), distance], b: radiance.extend(0.0).into() }
+        GBufferPixel { a: [uv.x, uv.y, seen.code(), distance], b: radiance.extend(0.0).into(), differentials: Default::default() }
     }
 }
 
 // Grazing views would otherwise ask for ever coarser levels.
 const LEAST_COSINE: f32 = 0.05;
+
+// Steeper views are taken for this one: at the horizon a pixel's image on the plane has no end.
+const LEAST_SINE: f32 = 0.02;
+
+// Igehy's transfer and interpolated normal: `normal` is the weighted sum of the corners' normals, `by` a derivative of the ray's direction.
+fn differential(corners: [ObjectVertex; 3], normal: Vec3, direction: Vec3, distance: f32, by: Vec3) -> SurfaceDifferential {
+    let [a, b, c] = corners.map(|c| Vec3::from(c.position));
+    let (e1, e2) = (b - a, c - a);
+    let area = e1.cross(e2);
+    let squared = area.length_squared();
+    if !(squared > 0.0 && normal.length_squared() > 0.0) {
+        return SurfaceDifferential::default();
+    }
+    let plane = area / squared.sqrt();
+    let sine = plane.dot(direction);
+    let sine = sine.abs().max(LEAST_SINE).copysign(sine);
+    let position = distance * (by - direction * (plane.dot(by) / sine));
+    let (along_b, along_c) = (position.cross(e2).dot(area) / squared, e1.cross(position).dot(area) / squared);
+    let [n_a, n_b, n_c] = corners.map(|c| Vec3::from(c.normal));
+    let turned = along_b * (n_b - n_a) + along_c * (n_c - n_a);
+    let length = normal.length();
+    let n = normal / length;
+    let normal = (turned - n * n.dot(turned)) / length;
+    SurfaceDifferential { position: position.extend(0.0).into(), normal: normal.extend(0.0).into() }
+}
 
 // Whether the ray meets the side from which the corners run counter-clockwise.
 fn faces(corners: [[f32; 3]; 3], ray: Ray) -> bool {

@@ -5,7 +5,7 @@ use thiserror::Error;
 
 use super::sample_points::{PlacementError, Spacing, build_sample_maps, place_sample_points, spacing_of};
 use super::{NO_SAMPLE, OffsetSurfaceLightField, Parameters, PartsError, SamplePoint, SurfaceMesh, to_parts};
-use crate::capture::{CaptureError, Viewpoint, bake_background, trace_cube_maps};
+use crate::capture::{CaptureError, Viewpoint, bake_background, coarser_levels, trace_cube_maps};
 use crate::progress::{Cancelled, Progress};
 use crate::raytrace::{Appearance, TraceError, TraceSettings, Tracer};
 use crate::scenes::{Object, Scene, Surface};
@@ -122,9 +122,7 @@ pub fn construct(
     let without_object = tracer.without_object(index);
     let mut viewpoints: Vec<Viewpoint<'_>> = sample_points.iter().map(|p| Viewpoint { tracer: &tracer, position: p.position }).collect();
     viewpoints.push(Viewpoint { tracer: &without_object, position: center });
-    let coarse_face_size_texels = coarse_face_size(settings.face_size_texels);
-    let sizes = [settings.face_size_texels, coarse_face_size_texels];
-    trace_cube_maps(&viewpoints, sizes, settings.pixel_format, &trace, staging, progress)?;
+    trace_cube_maps(&viewpoints, settings.face_size_texels, settings.pixel_format, &trace, staging, progress)?;
 
     progress.report("building sample maps", 0, 1);
     let lift = 0.1 * epsilon;
@@ -138,7 +136,7 @@ pub fn construct(
         object: settings.object.clone(),
         epsilon,
         face_size_texels: settings.face_size_texels,
-        coarse_face_size_texels,
+        coarser_levels: coarser_levels(settings.face_size_texels),
         sample_map_size_texels: settings.sample_map_size_texels,
         spacing: settings.spacing,
         object_center: center.to_array(),
@@ -151,11 +149,6 @@ pub fn construct(
         staging.put_blob(name, &bytes)?;
     }
     Ok(field.parameters)
-}
-
-// 16 texels are 1/64 of a face of 128 and show where light comes from; smaller faces are halved.
-fn coarse_face_size(face_size: u32) -> u32 {
-    (face_size / 2).clamp(1, 16)
 }
 
 fn check(settings: &ConstructSettings) -> Result<(), ConstructError> {

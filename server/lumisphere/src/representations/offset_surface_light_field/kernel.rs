@@ -6,14 +6,15 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use bytemuck::{Pod, Zeroable};
+use rayon::prelude::*;
 
-use super::coarse::Coarse;
-use super::{Blend, Component, OffsetSurfaceLightField, Settings};
+use super::coarse::{Coarse, with_levels};
+use super::{Blend, Component, Filter, OffsetSurfaceLightField, Settings};
 use crate::gpu::{Atlas, AtlasShape, Gpu, GpuCacheStats, GpuError, ReadBack, Shader, binding, storage_buffer, uniform_buffer};
 use crate::representations::g_buffer::{BAND_BYTES_PER_PIXEL, Band, OUTPUT_WORDS, ProxyGeometry, Rasterizer, band_entries};
 use crate::representations::page_source::CountingSource;
 use crate::representations::{FrameRequest, GpuFrameStats, GpuKernel, Pixels, RenderError};
-use crate::textures::{PageId, PolicyKind};
+use crate::textures::{PageId, PixelFormat, PolicyKind};
 
 /// All of `kernel.wgsl`'s source.
 pub(crate) const SOURCE: &str = concat!(
@@ -21,6 +22,7 @@ pub(crate) const SOURCE: &str = concat!(
     include_str!("../g_buffer/band.wgsl"),
     include_str!("../g_buffer/object.wgsl"),
     include_str!("../../directions/cube_map.wgsl"),
+    include_str!("../../directions/differential.wgsl"),
     include_str!("../../gpu/atlas.wgsl"),
     include_str!("kernel.wgsl")
 );
@@ -35,10 +37,13 @@ pub(crate) struct ShadingUniform {
     pub map_size: u32,
     pub baseline_cube: u32,
     pub stamp: u32,
-    pub coarse_size: u32,
+    pub coarse_level: u32,
+    pub coarsest_level: u32,
+    pub face_count: u32,
     pub first_pixel: u32,
     pub end_pixel: u32,
     pub padding: u32,
+    pub more_padding: [u32; 2],
 }
 
 // A band has at most this many pixels: 32 MiB on the device with everything that grows with it.
@@ -63,7 +68,6 @@ pub(crate) struct Kernel {
     touched: wgpu::Buffer,
     touched_read_back: ReadBack,
     pipelines: HashMap<PipelineKey, wgpu::ComputePipeline>,
-    coarse: Coarse,
     // Made with the first page, whose format it takes.
     atlas: Option<BoundAtlas>,
     // Of frames, and of looks ahead.
@@ -75,12 +79,13 @@ pub(crate) struct Kernel {
     earlier: GpuCacheStats,
 }
 
-// Component, blend, textures of the atlas, whether the coarse level stands in.
-type PipelineKey = (u32, u32, usize, bool);
+// Component, blend, textures of the atlas, whether reads are filtered, whether coarse levels stand in.
+type PipelineKey = (u32, u32, usize, bool, bool);
 
 struct BoundAtlas {
     atlas: Atlas,
     shape: AtlasShape,
+    coarse: Coarse,
     views: wgpu::BindGroup,
     resources: wgpu::BindGroup,
 }
@@ -104,7 +109,6 @@ impl Kernel {
             binding::read_buffer(4),
             binding::read_buffer(5),
             binding::write_buffer(6),
-            binding::read_buffer(7),
         ];
         let atlas_entries = [0, 1, 2, 3].map(binding::texture_array);
         let none = wgpu::BufferUsages::empty();
@@ -120,7 +124,6 @@ impl Kernel {
             sample_maps: storage_buffer(&gpu, "sample maps", &maps, none),
             touched: storage_buffer(&gpu, "touched", &touched_words, wgpu::BufferUsages::COPY_SRC),
             touched_read_back: ReadBack::new(&gpu, "touched", 4 * touched_words.len() as u64),
-            coarse: Coarse::planned(&gpu, &field, budget_bytes),
             pipelines: HashMap::new(),
             atlas: None,
             bands: [None, None],
@@ -143,12 +146,15 @@ impl Kernel {
         self.rasterizer.read_g_buffer(&self.gpu, &self.bands[0].as_ref().expect("a frame was rendered").band)
     }
 
-    /// A budget that leaves room for this many pages in f16.
+    /// A budget that leaves room for this many pages in f16, coarse levels aside.
     #[cfg(test)]
     pub fn set_slots(&mut self, slots: u64) {
-        let page_size = self.field.parameters.face_size_texels;
-        let shape = AtlasShape { page_count: self.field.face_count(), page_size, pixel: crate::textures::PixelFormat::F16 };
-        self.set_budget(self.fixed_bytes() + shape.bytes_beside() + slots * shape.page_bytes());
+        let mut atlas_budget = 0;
+        for _ in 0..4 {
+            let (_, shape) = self.plan(PixelFormat::F16, atlas_budget);
+            atlas_budget = shape.bytes_beside() + (shape.pinned_slots as u64 + slots) * shape.page_bytes();
+        }
+        self.set_budget(self.fixed_bytes() + atlas_budget);
     }
 
     #[cfg(test)]
@@ -160,7 +166,7 @@ impl Kernel {
     fn fixed_bytes(&self) -> u64 {
         let buffers = [&self.sample_points, &self.sample_maps, &self.touched, self.touched_read_back.buffer()];
         let held = self.rasterizer.bytes() + buffers.iter().map(|b| b.size()).sum::<u64>();
-        held + self.coarse.bytes(&self.field) + BAND_BYTES
+        held + BAND_BYTES
     }
 
     fn atlas_budget(&self) -> Result<u64, GpuError> {
@@ -169,35 +175,41 @@ impl Kernel {
         budget_bytes.checked_sub(needed_bytes).filter(|left| *left > 0).ok_or(too_much)
     }
 
+    // What is always resident, and the slots.
+    fn plan(&self, pixel: PixelFormat, atlas_budget: u64) -> (Coarse, AtlasShape) {
+        let (page_size, page_count) = (self.field.parameters.face_size_texels, self.field.face_count());
+        let coarse = Coarse::planned(&self.field, pixel, atlas_budget);
+        let coarse_levels = self.field.parameters.coarser_levels + 1 - coarse.level;
+        let levels = coarse.levels_before().max(coarse_levels);
+        (coarse, AtlasShape { page_count, page_size, pixel, levels, pinned_slots: coarse.slots })
+    }
+
     // The first page tells what all of them look like.
     fn ensure_atlas(&mut self, pages: &CountingSource<'_>) -> Result<(), RenderError> {
         if self.atlas.is_some() {
             return Ok(());
         }
-        let page_size = self.field.parameters.face_size_texels;
-        let pixel = pages.page(PageId(0))?.shape().pixel;
-        let shape = AtlasShape { page_count: self.field.face_count(), page_size, pixel };
-        let atlas = Atlas::new(&self.gpu, shape, self.atlas_budget()?, self.policy)?;
+        let first = pages.page(PageId(0))?.shape();
+        self.field.check_page(0, first)?;
+        let (coarse, shape) = self.plan(first.pixel, self.atlas_budget()?);
+        let mut atlas = Atlas::new(&self.gpu, shape, self.atlas_budget()?, self.policy)?;
+        if coarse.exists() {
+            let levels = self.field.parameters.coarser_levels + 1 - coarse.level;
+            let images = coarse.read(&self.field, shape.pixel, pages)?;
+            let images = images.into_par_iter().map(|image| with_levels(Arc::new(image), levels)).collect::<Result<Vec<_>, _>>()?;
+            atlas.upload_pinned(&self.gpu, &images)?;
+        }
         let views: Vec<_> = atlas.views().iter().map(wgpu::BindingResource::TextureView).collect();
         let views = self.shader.bind(&self.gpu, 2, &views);
         let resources = self.bind_resources(&atlas);
-        self.atlas = Some(BoundAtlas { atlas, shape, views, resources });
+        self.atlas = Some(BoundAtlas { atlas, shape, coarse, views, resources });
         Ok(())
     }
 
     fn bind_resources(&self, atlas: &Atlas) -> wgpu::BindGroup {
         let [triangles, vertices] = self.rasterizer.object_buffers();
-        let (shading, maps, coarse) = (&self.shading, &self.sample_maps, &self.coarse.texels);
-        let resources = [triangles, vertices, shading, &self.sample_points, maps, atlas.indirection(), &self.touched, coarse];
+        let resources = [triangles, vertices, &self.shading, &self.sample_points, &self.sample_maps, atlas.indirection(), &self.touched];
         self.shader.bind(&self.gpu, 1, &resources.map(wgpu::Buffer::as_entire_binding))
-    }
-
-    fn ensure_coarse(&mut self, pages: &CountingSource<'_>) -> Result<(), RenderError> {
-        if self.coarse.fill(&self.gpu, &self.field, pages)? {
-            let resources = self.bind_resources(&self.atlas.as_ref().expect("made before any frame").atlas);
-            self.atlas.as_mut().expect("made before any frame").resources = resources;
-        }
-        Ok(())
     }
 
     fn ensure_band(&mut self, which: usize, width: u32, rows: u32) -> Result<(), GpuError> {
@@ -214,14 +226,16 @@ impl Kernel {
         Ok(())
     }
 
-    fn pipeline(&mut self, settings: &Settings, coarse: bool) -> PipelineKey {
+    fn pipeline(&mut self, settings: &Settings, stand_in: bool) -> PipelineKey {
         let textures = self.atlas.as_ref().map_or(1, |a| a.atlas.texture_count());
-        let key = (component_number(settings.component), blend_number(settings), textures, coarse);
+        let filtered = settings.filter == Filter::Footprint;
+        let key = (component_number(settings.component), blend_number(settings), textures, filtered, stand_in);
         let constants = [
             ("COMPONENT", f64::from(key.0)),
             ("BLEND", f64::from(key.1)),
             ("ATLAS_TEXTURES", textures as f64),
-            ("COARSE", f64::from(u8::from(coarse))),
+            ("FILTERED", f64::from(u8::from(filtered))),
+            ("STAND_IN", f64::from(u8::from(stand_in))),
         ];
         self.pipelines.entry(key).or_insert_with(|| self.shader.compute_pipeline(&self.gpu, "shade", &constants));
         key
@@ -254,7 +268,6 @@ impl GpuKernel for Kernel {
             if let Some(bound) = self.atlas.take() {
                 self.earlier.evictions += bound.atlas.stats().resident_pages;
             }
-            self.coarse = Coarse::planned(&self.gpu, &self.field, budget_bytes);
             self.bands = [None, None];
         }
     }
@@ -262,7 +275,7 @@ impl GpuKernel for Kernel {
     fn bytes(&self) -> u64 {
         let unused = |(band, most): (&Option<BoundBand>, u32)| u64::from(most - band.as_ref().map_or(0, |b| b.band.pixels()));
         let sizes = self.bands.iter().zip([MAX_BAND_PIXELS, MAX_GLANCE_PIXELS]);
-        let unused = sizes.map(unused).sum::<u64>() * BYTES_PER_PIXEL + self.coarse.unfilled_bytes(&self.field);
+        let unused = sizes.map(unused).sum::<u64>() * BYTES_PER_PIXEL;
         self.fixed_bytes() - unused + self.atlas.as_ref().map_or(0, |a| a.atlas.bytes())
     }
 

@@ -9,12 +9,16 @@ struct Shading {
     baseline_cube: u32,
     // Differs from every earlier pass's.
     stamp: u32,
-    // Texels along a face of the coarse level.
-    coarse_size: u32,
+    // The finest level that is always resident, and the coarsest of all.
+    coarse_level: u32,
+    coarsest_level: u32,
+    // Pages of level 0.
+    face_count: u32,
     // Of the band, row by row; the others are left as they are.
     first_pixel: u32,
     end_pixel: u32,
     padding: u32,
+    more_padding: vec2<u32>,
 }
 
 @group(1) @binding(0) var<storage, read> object_triangles: array<u32>;
@@ -25,14 +29,14 @@ struct Shading {
 @group(1) @binding(4) var<storage, read> sample_maps: array<vec2<u32>>;
 @group(1) @binding(5) var<storage, read> indirection: array<u32>;
 @group(1) @binding(6) var<storage, read_write> touched: array<atomic<u32>>;
-// Every face's texels as RGB9E5.
-@group(1) @binding(7) var<storage, read> coarse: array<u32>;
 
 // Component and Blend, as kernel.rs numbers them.
 override COMPONENT: u32 = 0u;
 override BLEND: u32 = 0u;
-// Whether the coarse level stands in for pages that are not resident.
-override COARSE: bool = false;
+// Whether reads are over what a pixel covers.
+override FILTERED: bool = true;
+// Whether coarse levels stand in for pages that are not resident.
+override STAND_IN: bool = false;
 
 const RECONSTRUCTION: u32 = 0u;
 const MIRROR: u32 = 1u;
@@ -49,6 +53,14 @@ const FILLED: u32 = 2u;
 const UNKNOWN_ANSWER: u32 = 3u;
 // cos 65°
 const COS_HORIZON: f32 = 0.42261826;
+const FOOTPRINT_WIDTH: f32 = 1.0;
+
+// A surface point, its normal and the direction to it; or their derivatives by the pixel.
+struct Sight {
+    position: vec3<f32>,
+    normal: vec3<f32>,
+    direction: vec3<f32>,
+}
 
 struct Shaded {
     radiance: vec3<f32>,
@@ -64,82 +76,81 @@ fn provenance_of(answer: u32, sample: u32) -> u32 {
     return (answer << 30u) | sample;
 }
 
-fn cube_texel(cube: u32, texel: CubeTexel) -> vec3<f32> {
-    return page_texel(6u * cube + texel.face, texel.column, texel.row);
+// Of a level: coarse ones are in slots of their own, 4ˡ faces to a slot; finer ones in their face's. Leaves word of a page that was wanted.
+fn cube_texel(cube: u32, texel: CubeTexel, level: u32) -> vec3<f32> {
+    let face = 6u * cube + texel.face;
+    let first = shading.coarse_level;
+    let is_coarse = level >= first;
+    let place = vec2(face & ((1u << first) - 1u), (face >> first) & ((1u << first) - 1u));
+    let origin = select(vec2(0u), place * (shading.face_size >> first), is_coarse);
+    let word = indirection[select(face, shading.face_count + (face >> (2u * first)), is_coarse)];
+    if !is_coarse {
+        atomicStore(&touched[face], shading.stamp);
+    }
+    return slot_texel(word, origin, texel.column, texel.row, select(level, level - first, is_coarse));
 }
 
-// The four texels around a direction and their weights, sum 1.
-struct Footprint {
-    t00: CubeTexel,
-    t10: CubeTexel,
-    t01: CubeTexel,
-    t11: CubeTexel,
-    weights: vec4<f32>,
+// One of the four texels around a direction, number 0 to 3, and its weight: 0 where there is none, beyond a cube's corner.
+struct Corner {
+    texel: CubeTexel,
+    weight: f32,
 }
 
-fn footprint(direction: vec3<f32>, size: u32) -> Footprint {
+fn corner(position: FacePosition, size: u32, number: u32) -> Corner {
     let n = i32(size);
-    let position = face_from_direction(direction);
     let at = (position.st + 1.0) * (0.5 * f32(n)) - 0.5;
     let base = floor(at);
     let f = at - base;
-    let x = i32(base.x);
-    let y = i32(base.y);
-    let t00 = neighbour(position.face, x, y, n);
-    let t10 = neighbour(position.face, x + 1, y, n);
-    let t01 = neighbour(position.face, x, y + 1, n);
-    let t11 = neighbour(position.face, x + 1, y + 1, n);
-    let w00 = select(0.0, (1.0 - f.x) * (1.0 - f.y), t00.exists);
-    let w10 = select(0.0, f.x * (1.0 - f.y), t10.exists);
-    let w01 = select(0.0, (1.0 - f.x) * f.y, t01.exists);
-    let w11 = select(0.0, f.x * f.y, t11.exists);
-    let sum = w00 + w10 + w01 + w11;
-    // Where a texel does not exist another one's page is read with weight 0.
-    let some = choose(t11, t00);
-    return Footprint(some, choose(some, t10), choose(some, t01), choose(some, t11), vec4(w00, w10, w01, w11) / sum);
+    let right = (number & 1u) == 1u;
+    let below = number >= 2u;
+    let texel = neighbour(position.face, i32(base.x) + select(0, 1, right), i32(base.y) + select(0, 1, below), n);
+    let weight = select(1.0 - f.x, f.x, right) * select(1.0 - f.y, f.y, below);
+    return Corner(texel, select(0.0, weight, texel.exists));
 }
 
-fn read_cube(cube: u32, direction: vec3<f32>) -> vec3<f32> {
-    let at = footprint(direction, shading.face_size);
-    var radiance = at.weights.x * cube_texel(cube, at.t00);
-    radiance += at.weights.y * cube_texel(cube, at.t10);
-    radiance += at.weights.z * cube_texel(cube, at.t01);
-    radiance += at.weights.w * cube_texel(cube, at.t11);
-    if COARSE {
-        let all = is_resident(cube, at.t00) && is_resident(cube, at.t10) && is_resident(cube, at.t01) && is_resident(cube, at.t11);
-        radiance = select(read_coarse(cube, direction), radiance, all);
+// Loops, here and below, keep the program small: compilers inline every call, and a processor's takes seconds over the whole.
+fn read_level(cube: u32, direction: vec3<f32>, level: u32) -> vec3<f32> {
+    let position = face_from_direction(direction);
+    var radiance = vec3(0.0);
+    var sum = 0.0;
+    for (var number = 0u; number < 4u; number++) {
+        let at = corner(position, shading.face_size >> level, number);
+        if at.texel.exists {
+            radiance += at.weight * cube_texel(cube, at.texel, level);
+            sum += at.weight;
+        }
+    }
+    return radiance / sum;
+}
+
+fn is_resident(cube: u32, direction: vec3<f32>, level: u32) -> bool {
+    let position = face_from_direction(direction);
+    var resident = true;
+    for (var number = 0u; number < 4u; number++) {
+        let at = corner(position, shading.face_size >> level, number);
+        resident &= !at.texel.exists || indirection[6u * cube + at.texel.face] != NOT_RESIDENT;
+    }
+    return resident || level >= shading.coarse_level;
+}
+
+fn read_cube(cube: u32, toward: DirectionDifferential) -> vec3<f32> {
+    var level = PyramidLevel(0u, 0.0);
+    if FILTERED {
+        level = level_for_texels(FOOTPRINT_WIDTH * texels_per_pixel(toward, shading.face_size), shading.coarsest_level);
+    }
+    if STAND_IN {
+        let coarser = min(level.fine + 1u, shading.coarsest_level);
+        let resident = is_resident(cube, toward.direction, level.fine) && (!FILTERED || is_resident(cube, toward.direction, coarser));
+        level = PyramidLevel(select(shading.coarse_level, level.fine, resident), select(0.0, level.fraction, resident));
+    }
+    var radiance = vec3(0.0);
+    for (var step = 0u; step < 2u; step++) {
+        let weight = select(1.0 - level.fraction, level.fraction, step == 1u);
+        if weight > 0.0 {
+            radiance += weight * read_level(cube, toward.direction, level.fine + step);
+        }
     }
     return radiance;
-}
-
-fn is_resident(cube: u32, texel: CubeTexel) -> bool {
-    return indirection[6u * cube + texel.face] != NOT_RESIDENT;
-}
-
-fn coarse_texel(cube: u32, texel: CubeTexel) -> vec3<f32> {
-    let n = shading.coarse_size;
-    let word = coarse[((6u * cube + texel.face) * n + texel.row) * n + texel.column];
-    // Mantissas of 9 bits below the point, exponent biased by 15.
-    let step = bitcast<f32>(((word >> 27u) + 103u) << 23u);
-    return step * vec3(f32(word & 0x1ffu), f32((word >> 9u) & 0x1ffu), f32((word >> 18u) & 0x1ffu));
-}
-
-fn read_coarse(cube: u32, direction: vec3<f32>) -> vec3<f32> {
-    let at = footprint(direction, shading.coarse_size);
-    var radiance = at.weights.x * coarse_texel(cube, at.t00);
-    radiance += at.weights.y * coarse_texel(cube, at.t10);
-    radiance += at.weights.z * coarse_texel(cube, at.t01);
-    radiance += at.weights.w * coarse_texel(cube, at.t11);
-    return radiance;
-}
-
-fn choose(some: CubeTexel, wanted: CubeTexel) -> CubeTexel {
-    return CubeTexel(
-        select(some.face, wanted.face, wanted.exists),
-        select(some.column, wanted.column, wanted.exists),
-        select(some.row, wanted.row, wanted.exists),
-        true,
-    );
 }
 
 fn candidates_at(part: u32, uv: vec2<f32>) -> vec4<u32> {
@@ -172,7 +183,9 @@ fn only(k: u32) -> vec4<f32> {
     return select(vec4(0.0), vec4(1.0), vec4(k) == vec4(0u, 1u, 2u, 3u));
 }
 
-fn reconstruct(x: vec3<f32>, n: vec3<f32>, candidates: vec4<u32>) -> Shaded {
+fn reconstruct(at: Sight, across: Sight, down: Sight, candidates: vec4<u32>) -> Shaded {
+    let x = at.position;
+    let n = at.normal;
     let valid = candidates != vec4(NO_SAMPLE);
     let cosines = vec4(
         dot(n, toward_sample(x, candidates.x, n)),
@@ -186,12 +199,25 @@ fn reconstruct(x: vec3<f32>, n: vec3<f32>, candidates: vec4<u32>) -> Shaded {
         return Shaded(vec3(0.0), PROVENANCE_UNKNOWN);
     }
     let candidate = element(candidates, select(within, nearest, within == 4u));
-    let radiance = read_cube(candidate, -toward_sample(x, candidate, n));
-    return Shaded(radiance, provenance_of(select(HIT, FILLED, within == 4u), candidate));
+    let p = sample_points[candidate].xyz;
+    let per_length = 1.0 / length(p - x);
+    let toward_x = DirectionDifferential(-toward(x, p, n), across.position * per_length, down.position * per_length);
+    return Shaded(read_cube(candidate, toward_x), provenance_of(select(HIT, FILLED, within == 4u), candidate));
 }
 
 fn mirror_direction(n: vec3<f32>, d: vec3<f32>) -> vec3<f32> {
     return d - 2.0 * dot(n, d) * n;
+}
+
+fn mirrored_derivative(at: Sight, by: Sight) -> vec3<f32> {
+    let n = at.normal;
+    let d = at.direction;
+    return by.direction - 2.0 * ((dot(n, by.direction) + dot(by.normal, d)) * n + dot(n, d) * by.normal);
+}
+
+fn mirrored(at: Sight, across: Sight, down: Sight) -> DirectionDifferential {
+    let r = mirror_direction(at.normal, at.direction);
+    return DirectionDifferential(r, mirrored_derivative(at, across), mirrored_derivative(at, down));
 }
 
 fn logarithm(x: f32) -> f32 {
@@ -284,15 +310,10 @@ fn blend_weights(
     return BlendWeights(select(weights, only(nearest), vanished), select(HIT, FILLED, vanished));
 }
 
-fn weighted_cube(weight: f32, candidate: u32, r: vec3<f32>) -> vec3<f32> {
-    if weight > 0.0 {
-        return weight * read_cube(candidate, r);
-    }
-    return vec3(0.0);
-}
-
-fn mirror(x: vec3<f32>, n: vec3<f32>, d: vec3<f32>, candidates: vec4<u32>) -> Shaded {
-    let r = mirror_direction(n, d);
+fn mirror(at: Sight, across: Sight, down: Sight, candidates: vec4<u32>) -> Shaded {
+    let x = at.position;
+    let n = at.normal;
+    let r = mirrored(at, across, down);
     if BLEND == ENVIRONMENT_MAP {
         let radiance = shading.specular_reflectance * read_cube(shading.baseline_cube, r);
         return Shaded(radiance, provenance_of(HIT, shading.baseline_cube));
@@ -304,7 +325,7 @@ fn mirror(x: vec3<f32>, n: vec3<f32>, d: vec3<f32>, candidates: vec4<u32>) -> Sh
         toward_sample(x, candidates.z, n),
         toward_sample(x, candidates.w, n),
         n,
-        r,
+        r.direction,
     );
     if blend.answer == UNKNOWN_ANSWER {
         return Shaded(vec3(0.0), PROVENANCE_UNKNOWN);
@@ -316,10 +337,12 @@ fn mirror(x: vec3<f32>, n: vec3<f32>, d: vec3<f32>, candidates: vec4<u32>) -> Sh
         // All the weight is on one sample point.
         radiance = read_cube(heaviest, r);
     } else {
-        radiance += weighted_cube(w.x, candidates.x, r);
-        radiance += weighted_cube(w.y, candidates.y, r);
-        radiance += weighted_cube(w.z, candidates.z, r);
-        radiance += weighted_cube(w.w, candidates.w, r);
+        for (var k = 0u; k < 4u; k++) {
+            let weight = select(select(select(w.w, w.z, k == 2u), w.y, k == 1u), w.x, k == 0u);
+            if weight > 0.0 {
+                radiance += weight * read_cube(element(candidates, k), r);
+            }
+        }
     }
     return Shaded(shading.specular_reflectance * radiance, provenance_of(blend.answer, heaviest));
 }
@@ -329,17 +352,19 @@ fn worse(own: u32, reflected: u32) -> u32 {
 }
 
 fn shade_object(direction: vec3<f32>, point: ObjectPoint) -> Shaded {
-    let n = point.normal;
-    let x = camera.position + point.distance * direction;
+    let at = Sight(camera.position + point.distance * direction, point.normal, direction);
+    let by = ray_derivatives(camera, direction);
+    let across = Sight(point.across.position, point.across.normal, by.across);
+    let down = Sight(point.down.position, point.down.normal, by.down);
     let candidates = candidates_at(point.part, point.uv);
     var shaded: Shaded;
     if COMPONENT == RECONSTRUCTION {
-        shaded = reconstruct(x, n, candidates);
+        shaded = reconstruct(at, across, down, candidates);
     } else if COMPONENT == MIRROR {
-        shaded = mirror(x, n, direction, candidates);
+        shaded = mirror(at, across, down, candidates);
     } else {
-        let own = reconstruct(x, n, candidates);
-        let reflected = mirror(x, n, direction, candidates);
+        let own = reconstruct(at, across, down, candidates);
+        let reflected = mirror(at, across, down, candidates);
         shaded = Shaded(own.radiance + reflected.radiance, worse(own.provenance, reflected.provenance));
     }
     return Shaded(shaded.radiance, select(PROVENANCE_UNKNOWN, shaded.provenance, point.front));

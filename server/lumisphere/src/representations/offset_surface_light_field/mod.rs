@@ -31,6 +31,7 @@ use glam::Vec3;
 use serde::{Deserialize, Serialize};
 
 use crate::capture::Background;
+use crate::directions::{DirectionDifferential, FACES, PyramidLevel, Texel};
 use crate::geometry::TriangleMesh;
 #[cfg(feature = "gpu")]
 use crate::gpu::{Gpu, GpuError};
@@ -49,14 +50,17 @@ pub use storage::{PartsError, from_parts, to_parts};
 pub const CONSTRUCTION_HORIZON_DEG: f32 = 85.0;
 /// The same when a frame is rendered; smaller, because grazing reads bleed.
 pub const RUNTIME_HORIZON_DEG: f32 = 65.0;
+/// Texels of a level are so many pixels wide where it is read alone: a bilinear read already takes the mean over a texel's width and more.
+const FOOTPRINT_WIDTH: f32 = 1.0;
 /// Marks "no such sample point" in a sample map.
 pub const NO_SAMPLE: u16 = u16::MAX;
 
 /// One dataset version of this kind, without its pages.
 ///
-/// Pages: face f of cube map k is page `6·k + f`: `face_size_texels`² texels of R, G, B, distance. Cube map
-/// `sample_points.len()` is the baseline environment map at `parameters.object_center`, taken without the object. Where there is a
-/// coarse level, one page more for each of the n cube maps, 6·n + k: its faces below each other, small, R, G, B.
+/// Pages: face f of cube map k, n in all, is page `6·k + f`: `face_size_texels`² texels of R, G, B, distance. Its level l, from 1 to
+/// `coarser_levels`, is page `6·n + (l − 1)·n + k`: its faces below each other, `face_size_texels / 2ˡ` texels an edge, R, G, B, every texel
+/// the mean of four of the level before. Cube map `sample_points.len()` is the baseline environment map at `parameters.object_center`,
+/// taken without the object.
 #[derive(Debug, Clone)]
 pub struct OffsetSurfaceLightField {
     /// What it was built with.
@@ -81,9 +85,8 @@ pub struct Parameters {
     pub epsilon: f32,
     /// Texels along a cube-map face.
     pub face_size_texels: u32,
-    /// Texels along a face of the coarse level; 0 in datasets that have none, as versions before it.
-    #[serde(default)]
-    pub coarse_face_size_texels: u32,
+    /// How many coarser levels the cube maps have, each with faces of half the size.
+    pub coarser_levels: u32,
     /// Texels along a sample map.
     pub sample_map_size_texels: u32,
     /// How the sample points were placed.
@@ -172,6 +175,19 @@ pub struct Settings {
     pub blend: Blend,
     /// C_s in `Mirror` and `Full`, per channel in [0, 1].
     pub specular_reflectance: Vec3,
+    /// How cube maps are read.
+    pub filter: Filter,
+}
+
+/// What of a cube map a pixel reads.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Filter {
+    /// The four texels around the direction through the pixel's centre, as the paper does: where a pixel covers many texels it shows their
+    /// noise.
+    Bilinear,
+    /// The mean over what the pixel covers: eight texels of the two levels whose texels are about as large.
+    #[default]
+    Footprint,
 }
 
 impl Component {
@@ -181,6 +197,16 @@ impl Component {
             Self::Reconstruction => "reconstruction",
             Self::Mirror => "mirror",
             Self::Full => "full",
+        }
+    }
+}
+
+impl Filter {
+    /// On the command line and in reports.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Bilinear => "bilinear",
+            Self::Footprint => "footprint",
         }
     }
 }
@@ -210,7 +236,7 @@ impl Blend {
 impl OffsetSurfaceLightField {
     /// Page of face `face` of cube map `cube`.
     pub fn page(cube: usize, face: usize) -> u32 {
-        (crate::directions::FACES * cube + face) as u32
+        (FACES * cube + face) as u32
     }
 
     /// How many cube maps there are, the baseline's included.
@@ -220,12 +246,49 @@ impl OffsetSurfaceLightField {
 
     /// How many pages are faces of full size.
     pub fn face_count(&self) -> usize {
-        crate::directions::FACES * self.cube_count()
+        FACES * self.cube_count()
     }
 
     /// How many pages its dataset has.
     pub fn page_count(&self) -> usize {
-        self.face_count() + if self.parameters.coarse_face_size_texels > 0 { self.cube_count() } else { 0 }
+        self.face_count() + self.parameters.coarser_levels as usize * self.cube_count()
+    }
+
+    /// Texels along a face of a level.
+    pub fn level_size(&self, level: u32) -> u32 {
+        self.parameters.face_size_texels >> level
+    }
+
+    /// Page of level `level` ≥ 1 of cube map `cube`.
+    pub fn level_page(&self, cube: usize, level: u32) -> u32 {
+        (self.face_count() + (level as usize - 1) * self.cube_count() + cube) as u32
+    }
+
+    /// Page and row in it of a texel of a level of cube map `cube`.
+    fn texel_place(&self, cube: u32, level: u32, texel: Texel) -> (u32, u32) {
+        match level {
+            0 => (Self::page(cube as usize, texel.face), texel.row as u32),
+            _ => (self.level_page(cube as usize, level), texel.face as u32 * self.level_size(level) + texel.row as u32),
+        }
+    }
+
+    /// What level a pixel reads that sees a cube map so.
+    fn level_for(&self, toward: &DirectionDifferential) -> PyramidLevel {
+        PyramidLevel::for_texels(
+            FOOTPRINT_WIDTH * toward.texels_per_pixel(self.parameters.face_size_texels),
+            self.parameters.coarser_levels,
+        )
+    }
+
+    // A page must have its level's shape before anything indexes into it.
+    fn check_page(&self, page: u32, shape: PageShape) -> Result<(), RenderError> {
+        let level = (page as usize).checked_sub(self.face_count()).map_or(0, |at| 1 + at / self.cube_count()) as u32;
+        let width = self.level_size(level);
+        let height = if level == 0 { width } else { FACES as u32 * width };
+        if (shape.width, shape.height) == (width, height) && shape.channels >= 3 {
+            return Ok(());
+        }
+        Err(RenderError::PageShape { page, width: shape.width, height: shape.height, channels: shape.channels, expected: [width, height] })
     }
 }
 
@@ -250,14 +313,6 @@ impl Representation for OffsetSurfaceLightField {
     fn gpu_kernel(self: Arc<Self>, gpu: &Arc<Gpu>, budget_bytes: u64) -> Result<Box<dyn GpuKernel>, GpuError> {
         Ok(Box::new(kernel::Kernel::new(gpu.clone(), self, budget_bytes)?))
     }
-}
-
-// A page must be a face of the announced size before anything indexes into it.
-fn check_page(page: u32, shape: PageShape, face_size_texels: u32) -> Result<(), RenderError> {
-    if (shape.width, shape.height) == (face_size_texels, face_size_texels) && shape.channels >= 3 {
-        return Ok(());
-    }
-    Err(RenderError::PageShape { page, width: shape.width, height: shape.height, channels: shape.channels, expected: face_size_texels })
 }
 
 impl SampleMaps {

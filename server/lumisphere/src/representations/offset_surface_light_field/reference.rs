@@ -8,7 +8,7 @@ use glam::Vec3;
 use super::requests::record_requests;
 use super::shade::{ReadCube, shade_object};
 use super::{OffsetSurfaceLightField, Settings};
-use crate::directions::bilinear_footprint;
+use crate::directions::{DirectionDifferential, PyramidLevel, bilinear_footprint};
 use crate::geometry::Camera;
 use crate::raytrace::Stack;
 use crate::representations::buckets::{PixelResult, render_in_buckets};
@@ -51,8 +51,7 @@ impl Reference {
             Seen::Background | Seen::Nothing => (Vec3::from_slice(&pixel.b), Provenance::BACKGROUND),
             Seen::Unknown => (Vec3::from_slice(&pixel.b), Provenance::UNKNOWN),
             Seen::Object { .. } | Seen::ObjectBack { .. } => {
-                let ray = camera.pixel_ray(i, j);
-                let shaded = shade_object(&self.field, settings, ray.origin, ray.direction, pixel, cubes)?;
+                let shaded = shade_object(&self.field, settings, camera, (i, j), pixel, cubes)?;
                 (shaded.radiance, shaded.provenance)
             }
         };
@@ -64,8 +63,7 @@ impl CpuKernel for Reference {
     fn render(&self, request: &FrameRequest<'_>, pages: &CountingSource<'_>) -> Result<Pixels, RenderError> {
         let AnySettings::OffsetSurfaceLightField(settings) = request.settings;
         let touched = PagesTouched::new(self.field.page_count());
-        let face_size = self.field.parameters.face_size_texels;
-        let start = || (Stack::new(), PagedCubes::new(face_size, pages, &touched));
+        let start = || (Stack::new(), PagedCubes::new(&self.field, pages, &touched));
         let mut frame = render_in_buckets(request, start, |(stack, cubes), i, j| {
             let pixel = self.tracer.pixel(request.camera, i, j, stack);
             self.shade(settings, request.camera, (i, j), &pixel, cubes)
@@ -103,7 +101,7 @@ impl PagesTouched {
 
 /// Cube maps in pages, read texel by texel.
 pub(super) struct PagedCubes<'a> {
-    face_size: u32,
+    field: &'a OffsetSurfaceLightField,
     reader: CountingReader<'a>,
     touched: &'a PagesTouched,
     /// Pages whose shape this thread has checked.
@@ -111,15 +109,15 @@ pub(super) struct PagedCubes<'a> {
 }
 
 impl<'a> PagedCubes<'a> {
-    pub fn new(face_size: u32, source: &'a CountingSource<'a>, touched: &'a PagesTouched) -> Self {
-        Self { face_size, reader: source.reader(), touched, checked: vec![false; touched.pages()] }
+    pub fn new(field: &'a OffsetSurfaceLightField, source: &'a CountingSource<'a>, touched: &'a PagesTouched) -> Self {
+        Self { field, reader: source.reader(), touched, checked: vec![false; touched.pages()] }
     }
 
     fn check(&mut self, page: u32) -> Result<(), RenderError> {
         match self.checked.get_mut(page as usize) {
             Some(true) => Ok(()),
             unchecked => {
-                super::check_page(page, self.reader.shape(PageId(page))?, self.face_size)?;
+                self.field.check_page(page, self.reader.shape(PageId(page))?)?;
                 if let Some(checked) = unchecked {
                     *checked = true;
                     self.touched.mark(page);
@@ -128,18 +126,27 @@ impl<'a> PagedCubes<'a> {
             }
         }
     }
-}
 
-impl ReadCube for PagedCubes<'_> {
-    fn read_cube(&mut self, cube: u32, direction: Vec3) -> Result<Vec3, RenderError> {
-        let footprint = bilinear_footprint(direction, self.face_size as usize);
+    fn read_level(&mut self, cube: u32, direction: Vec3, level: u32) -> Result<Vec3, RenderError> {
+        let footprint = bilinear_footprint(direction, self.field.level_size(level) as usize);
         let mut at = [(PageId(0), 0, 0); 4];
         for (at, (texel, _)) in at.iter_mut().zip(&footprint) {
-            let page = OffsetSurfaceLightField::page(cube as usize, texel.face);
+            let (page, row) = self.field.texel_place(cube, level, *texel);
             self.check(page)?;
-            *at = (PageId(page), texel.column as u32, texel.row as u32);
+            *at = (PageId(page), texel.column as u32, row);
         }
         let texels = self.reader.texels(at)?;
         Ok(texels.iter().zip(&footprint).map(|(t, (_, weight))| *weight * Vec3::from_slice(t)).sum())
+    }
+}
+
+impl ReadCube for PagedCubes<'_> {
+    fn read_cube(&mut self, cube: u32, toward: &DirectionDifferential) -> Result<Vec3, RenderError> {
+        let PyramidLevel { fine, fraction } = self.field.level_for(toward);
+        let radiance = self.read_level(cube, toward.direction, fine)?;
+        if fraction == 0.0 {
+            return Ok(radiance);
+        }
+        Ok(radiance + fraction * (self.read_level(cube, toward.direction, fine + 1)? - radiance))
     }
 }

@@ -2,9 +2,10 @@
 
 use glam::{Vec2, Vec3};
 
-use super::shade::{ReadCube, mirror_direction, radiance_toward, shade_object};
+use super::shade::{ReadCube, mirror_direction, radiance_toward, shade_object, sight};
 use super::{OffsetSurfaceLightField, Settings};
-use crate::directions::bilinear_footprint;
+use crate::directions::{DirectionDifferential, PyramidLevel, bilinear_footprint};
+use crate::geometry::Camera;
 use crate::raytrace::{SampleSequence, Stack};
 use crate::representations::g_buffer::{GBufferPixel, GBufferTracer, Seen};
 use crate::representations::{Lobe, Recording, RenderError, Settings as AnySettings, TexelRequest};
@@ -26,40 +27,38 @@ pub(super) fn record_requests(
         let (Seen::Object { part } | Seen::ObjectBack { part }) = Seen::from_code(pixel.a[2]) else { continue };
         let row = field.sample_maps.row(pixel.a[1]);
         sink(TexelRequest::SampleMap { part, row });
-        let ray = camera.pixel_ray(i, j);
-        let mut cubes = Requests { face_size: field.parameters.face_size_texels as usize, sink };
+        let mut cubes = Requests { field, sink };
         match &recording.lobe {
             None => {
-                shade_object(field, settings, ray.origin, ray.direction, &pixel, &mut cubes)?;
+                shade_object(field, settings, camera, (i, j), &pixel, &mut cubes)?;
             }
-            Some(lobe) => glossy(field, settings, lobe, ray.origin, ray.direction, &pixel, u64::from(j) << 32 | u64::from(i), &mut cubes)?,
+            Some(lobe) => glossy(field, settings, lobe, camera, (i, j), &pixel, &mut cubes)?,
         }
     }
     Ok(())
 }
 
-/// Reads of every drawn direction above the surface.
-#[allow(clippy::too_many_arguments, reason = "a pixel is seven numbers")]
+/// Reads of every drawn direction above the surface; each looks at a single one.
 fn glossy(
     field: &OffsetSurfaceLightField,
     settings: &Settings,
     lobe: &Lobe,
-    origin: Vec3,
-    direction: Vec3,
+    camera: &Camera,
+    (i, j): (u32, u32),
     pixel: &GBufferPixel,
-    number: u64,
     cubes: &mut Requests<'_>,
 ) -> Result<(), RenderError> {
-    let [u, v, code, distance] = pixel.a;
+    let [u, v, code, _] = pixel.a;
     let (Seen::Object { part } | Seen::ObjectBack { part }) = Seen::from_code(code) else { return Ok(()) };
-    let n = Vec3::new(pixel.b[0], pixel.b[1], pixel.b[2]);
-    let x = origin + distance * direction;
+    let (at, _) = sight(settings.filter, camera, (i, j), pixel);
     let candidates = field.sample_maps.at(part, u, v);
-    let r = mirror_direction(n, direction);
+    let r = mirror_direction(at.normal, at.direction);
     for sample in 0..lobe.samples {
+        let number = u64::from(j) << 32 | u64::from(i);
         let toward = about(r, lobe.exponent, SampleSequence::new(lobe.seed, number, sample).pair());
-        if toward.dot(n) > 0.0 {
-            radiance_toward(field, settings, x, n, toward, candidates, cubes)?;
+        if toward.dot(at.normal) > 0.0 {
+            let toward = DirectionDifferential::single(toward);
+            radiance_toward(field, settings, at.position, at.normal, &toward, candidates, cubes)?;
         }
     }
     Ok(())
@@ -76,18 +75,28 @@ fn about(axis: Vec3, exponent: f32, u: Vec2) -> Vec3 {
 
 /// Says what is asked for and answers with black.
 struct Requests<'a> {
-    face_size: usize,
+    field: &'a OffsetSurfaceLightField,
     sink: &'a mut dyn FnMut(TexelRequest),
 }
 
-impl ReadCube for Requests<'_> {
-    fn read_cube(&mut self, cube: u32, direction: Vec3) -> Result<Vec3, RenderError> {
-        let footprint = bilinear_footprint(direction, self.face_size);
-        let texel = |k: usize| {
-            let texel = footprint[k].0;
-            (PageId(OffsetSurfaceLightField::page(cube as usize, texel.face)), texel.row as u32)
+impl Requests<'_> {
+    fn request(&mut self, cube: u32, direction: Vec3, level: u32) {
+        let footprint = bilinear_footprint(direction, self.field.level_size(level) as usize);
+        let place = |k: usize| {
+            let (page, row) = self.field.texel_place(cube, level, footprint[k].0);
+            (PageId(page), row)
         };
-        (self.sink)(TexelRequest::LookUp([texel(0), texel(1), texel(2), texel(3)]));
+        (self.sink)(TexelRequest::LookUp([place(0), place(1), place(2), place(3)]));
+    }
+}
+
+impl ReadCube for Requests<'_> {
+    fn read_cube(&mut self, cube: u32, toward: &DirectionDifferential) -> Result<Vec3, RenderError> {
+        let PyramidLevel { fine, fraction } = self.field.level_for(toward);
+        self.request(cube, toward.direction, fine);
+        if fraction > 0.0 {
+            self.request(cube, toward.direction, fine + 1);
+        }
         Ok(Vec3::ZERO)
     }
 }

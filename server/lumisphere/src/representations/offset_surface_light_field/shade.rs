@@ -6,15 +6,27 @@
 
 use glam::Vec3;
 
-use super::{Blend, Component, NO_SAMPLE, OffsetSurfaceLightField, RUNTIME_HORIZON_DEG, Settings};
+use super::{Blend, Component, Filter, NO_SAMPLE, OffsetSurfaceLightField, RUNTIME_HORIZON_DEG, Settings};
+use crate::directions::DirectionDifferential;
+use crate::geometry::Camera;
 use crate::representations::RenderError;
 use crate::representations::g_buffer::{GBufferPixel, Seen};
 use crate::representations::provenance::{Answer, Provenance};
 
-/// Reads cube map `cube` toward a direction (any length above zero): bilinear, seamless.
+/// Reads cube map `cube` over what one pixel sees of it: bilinear and seamless on two levels of its pyramid.
 pub(super) trait ReadCube {
-    fn read_cube(&mut self, cube: u32, direction: Vec3) -> Result<Vec3, RenderError>;
+    fn read_cube(&mut self, cube: u32, toward: &DirectionDifferential) -> Result<Vec3, RenderError>;
 }
+
+/// A surface point, its unit normal, and the direction in which the camera sees it; or the derivatives of all three by the pixel.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Sight {
+    pub position: Vec3,
+    pub normal: Vec3,
+    pub direction: Vec3,
+}
+
+const SINGLE: Sight = Sight { position: Vec3::ZERO, normal: Vec3::ZERO, direction: Vec3::ZERO };
 
 /// Radiance and where it comes from.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -30,30 +42,29 @@ pub(super) struct BlendWeights {
     pub answer: Answer,
 }
 
-/// Radiance of an object's pixel; `direction` from the camera along the pixel's ray, unit.
+/// Radiance of the object's pixel (i, j).
 pub(super) fn shade_object(
     field: &OffsetSurfaceLightField,
     settings: &Settings,
-    origin: Vec3,
-    direction: Vec3,
+    camera: &Camera,
+    (i, j): (u32, u32),
     pixel: &GBufferPixel,
     cubes: &mut dyn ReadCube,
 ) -> Result<Shaded, RenderError> {
-    let [u, v, code, distance] = pixel.a;
+    let [u, v, code, _] = pixel.a;
     let (part, back) = match Seen::from_code(code) {
         Seen::Object { part } => (part, false),
         Seen::ObjectBack { part } => (part, true),
         Seen::Background | Seen::Nothing | Seen::Unknown => unreachable!("only the object's pixels are shaded here"),
     };
-    let n = Vec3::new(pixel.b[0], pixel.b[1], pixel.b[2]);
-    let x = origin + distance * direction;
+    let (at, by) = sight(settings.filter, camera, (i, j), pixel);
     let candidates = field.sample_maps.at(part, u, v);
     let mut shaded = match settings.component {
-        Component::Reconstruction => reconstruct(field, x, n, candidates, cubes)?,
-        Component::Mirror => mirror(field, settings, x, n, direction, candidates, cubes)?,
+        Component::Reconstruction => reconstruct(field, &at, &by, candidates, cubes)?,
+        Component::Mirror => mirror(field, settings, &at, &by, candidates, cubes)?,
         Component::Full => {
-            let own = reconstruct(field, x, n, candidates, cubes)?;
-            let reflected = mirror(field, settings, x, n, direction, candidates, cubes)?;
+            let own = reconstruct(field, &at, &by, candidates, cubes)?;
+            let reflected = mirror(field, settings, &at, &by, candidates, cubes)?;
             Shaded { radiance: own.radiance + reflected.radiance, provenance: worse(own.provenance, reflected.provenance) }
         }
     };
@@ -61,6 +72,22 @@ pub(super) fn shade_object(
         shaded.provenance = Provenance::UNKNOWN;
     }
     Ok(shaded)
+}
+
+/// What the camera sees at an object's pixel, and its derivatives by the pixel's column and row: none where reads are not filtered.
+pub(super) fn sight(filter: Filter, camera: &Camera, (i, j): (u32, u32), pixel: &GBufferPixel) -> (Sight, [Sight; 2]) {
+    let ray = camera.pixel_ray(i, j);
+    let at = Sight { position: ray.at(pixel.a[3]), normal: Vec3::from_slice(&pixel.b), direction: ray.direction };
+    if filter == Filter::Bilinear {
+        return (at, [SINGLE; 2]);
+    }
+    let derivatives = camera.ray_derivatives(ray.direction);
+    let by = std::array::from_fn(|k| {
+        let surface = &pixel.differentials[k];
+        let (position, normal) = (Vec3::from_slice(&surface.position), Vec3::from_slice(&surface.normal));
+        Sight { position, normal, direction: derivatives[k] }
+    });
+    (at, by)
 }
 
 /// The reconstruction's provenance, unless the mirror's answer is the less certain one.
@@ -71,34 +98,37 @@ pub(super) fn worse(own: Provenance, reflected: Provenance) -> Provenance {
 /// The object's own appearance: `Lᵢ(p; normalize(x − p))`, p the nearest candidate within 65° of n, else the nearest (filled).
 pub(super) fn reconstruct(
     field: &OffsetSurfaceLightField,
-    x: Vec3,
-    n: Vec3,
+    at: &Sight,
+    by: &[Sight; 2],
     candidates: [u16; 4],
     cubes: &mut dyn ReadCube,
 ) -> Result<Shaded, RenderError> {
+    let (x, n) = (at.position, at.normal);
     let cos_horizon = RUNTIME_HORIZON_DEG.to_radians().cos();
     let position = |j: u16| field.sample_points[usize::from(j)].position;
     let within = |j: &u16| *j != NO_SAMPLE && n.dot(toward(x, position(*j), n)) > cos_horizon;
     let chosen = candidates.iter().find(|j| within(j)).map(|j| (*j, Answer::Hit));
     let nearest = || candidates.iter().find(|j| **j != NO_SAMPLE).map(|j| (*j, Answer::Filled));
     let Some((j, answer)) = chosen.or_else(nearest) else { return Ok(NOTHING) };
-    let radiance = cubes.read_cube(u32::from(j), -toward(x, position(j), n))?;
+    let p = position(j);
+    let per_length = 1.0 / (p - x).length();
+    let [across, down] = by.map(|by| by.position * per_length);
+    let radiance = cubes.read_cube(u32::from(j), &DirectionDifferential { direction: -toward(x, p, n), across, down })?;
     Ok(Shaded { radiance, provenance: Provenance::new(answer, u32::from(j)) })
 }
 
 const NOTHING: Shaded = Shaded { radiance: Vec3::ZERO, provenance: Provenance::UNKNOWN };
 
-/// The mirror's radiance: `C_s Σⱼ βⱼ Lᵢ(pⱼ; r)`. `d` is the unit direction from the camera, −v.
+/// The mirror's radiance: `C_s Σⱼ βⱼ Lᵢ(pⱼ; r)`.
 pub(super) fn mirror(
     field: &OffsetSurfaceLightField,
     settings: &Settings,
-    x: Vec3,
-    n: Vec3,
-    d: Vec3,
+    at: &Sight,
+    by: &[Sight; 2],
     candidates: [u16; 4],
     cubes: &mut dyn ReadCube,
 ) -> Result<Shaded, RenderError> {
-    radiance_toward(field, settings, x, n, mirror_direction(n, d), candidates, cubes)
+    radiance_toward(field, settings, at.position, at.normal, &mirrored(at, by), candidates, cubes)
 }
 
 /// The same for any direction `r` (unit) in the mirror direction's place: `C_s Σⱼ βⱼ Lᵢ(pⱼ; r)`.
@@ -107,7 +137,7 @@ pub(super) fn radiance_toward(
     settings: &Settings,
     x: Vec3,
     n: Vec3,
-    r: Vec3,
+    r: &DirectionDifferential,
     candidates: [u16; 4],
     cubes: &mut dyn ReadCube,
 ) -> Result<Shaded, RenderError> {
@@ -117,7 +147,7 @@ pub(super) fn radiance_toward(
         return Ok(Shaded { radiance, provenance: Provenance::new(Answer::Hit, baseline) });
     }
     let toward_samples = candidates.map(|j| if j == NO_SAMPLE { n } else { toward(x, field.sample_points[usize::from(j)].position, n) });
-    let BlendWeights { weights, answer } = blend_weights(settings.blend, candidates, toward_samples, n, r);
+    let BlendWeights { weights, answer } = blend_weights(settings.blend, candidates, toward_samples, n, r.direction);
     if answer == Answer::Unknown {
         return Ok(NOTHING);
     }
@@ -138,6 +168,13 @@ pub(super) fn radiance_toward(
 /// `r = 2 n (n·v) − v` with v = −d.
 pub(super) fn mirror_direction(n: Vec3, d: Vec3) -> Vec3 {
     d - 2.0 * n.dot(d) * n
+}
+
+/// The mirror direction and its derivatives: `δr = δd − 2 ((n·δd + δn·d) n + (n·d) δn)`.
+pub(super) fn mirrored(at: &Sight, by: &[Sight; 2]) -> DirectionDifferential {
+    let (n, d) = (at.normal, at.direction);
+    let [across, down] = by.map(|by| by.direction - 2.0 * ((n.dot(by.direction) + by.normal.dot(d)) * n + n.dot(d) * by.normal));
+    DirectionDifferential { direction: mirror_direction(n, d), across, down }
 }
 
 /// Unit vector from x to p; n where they coincide.

@@ -10,10 +10,12 @@ use serde::de::DeserializeOwned;
 use thiserror::Error;
 
 use super::{NO_SAMPLE, OffsetSurfaceLightField, Parameters, SampleMaps, SamplePoint, SurfaceMesh};
-use crate::capture::Background;
+use crate::capture::{Background, coarser_levels};
 use crate::images::Image;
 use crate::scenes::{Albedo, Environment};
 
+// Not a part but checked with them.
+const PARAMETERS: &str = "parameters";
 const SURFACE: &str = "surface";
 const SAMPLE_POINTS: &str = "sample_points";
 const SAMPLE_MAPS: &str = "sample_maps";
@@ -56,6 +58,7 @@ pub fn from_parts<E: From<PartsError>>(
         background: decode(BACKGROUND, &part(BACKGROUND)?)?,
     };
     for (part, outcome) in [
+        (PARAMETERS, check_parameters(&field.parameters)),
         (SURFACE, check_surface(&field.surface)),
         (SAMPLE_POINTS, check_points(&field.sample_points)),
         (SAMPLE_MAPS, check_maps(&field.sample_maps, field.surface.parts, field.sample_points.len())),
@@ -84,6 +87,14 @@ fn decode<T: DeserializeOwned>(part: &'static str, compressed: &[u8]) -> Result<
         Some((&FORMAT, rest)) => postcard::from_bytes(rest).map_err(|e| malformed(e.to_string())),
         Some((other, _)) => Err(malformed(format!("format {other}, {FORMAT} expected"))),
         None => Err(malformed("empty".into())),
+    }
+}
+
+fn check_parameters(parameters: &Parameters) -> Result<(), String> {
+    let (levels, most) = (parameters.coarser_levels, coarser_levels(parameters.face_size_texels));
+    match levels <= most {
+        true => Ok(()),
+        false => Err(format!("{levels} coarser levels of faces of {}², at most {most} expected", parameters.face_size_texels)),
     }
 }
 
@@ -178,7 +189,7 @@ mod tests {
                 object: "pot".into(),
                 epsilon: 0.1,
                 face_size_texels: 16,
-                coarse_face_size_texels: 0,
+                coarser_levels: 2,
                 sample_map_size_texels: 2,
                 spacing: Spacing::Count(4),
                 object_center: [0.0; 3],
@@ -230,6 +241,9 @@ mod tests {
         let mut unknown_part = field();
         unknown_part.surface.part_of_triangle[0] = 1;
         assert_eq!(reload(&unknown_part, |_| {}).unwrap_err().part, SURFACE);
+        let mut deep = field();
+        deep.parameters.coarser_levels = 3;
+        assert_eq!(reload(&deep, |_| {}).unwrap_err().part, PARAMETERS);
         let mut dark = field();
         dark.background.surfaces[0].irradiance[1][0].y = f32::NAN;
         assert_eq!(reload(&dark, |_| {}).unwrap_err().part, BACKGROUND);

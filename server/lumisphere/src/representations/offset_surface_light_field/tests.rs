@@ -12,7 +12,7 @@ use std::sync::Arc;
 use glam::{Quat, Vec3};
 
 use super::shade::{blend_weights, exponential, logarithm, mirror_direction, power};
-use super::{Blend, Component, NO_SAMPLE, OffsetSurfaceLightField, Settings};
+use super::{Blend, Component, Filter, NO_SAMPLE, OffsetSurfaceLightField, Settings};
 use crate::geometry::{Camera, Intrinsics, Pose};
 use crate::images::{Golden, Image, Tolerance, check_golden, count_beyond, elements_agree};
 use crate::render::{Backend, Frame, FrameRequest, Outputs, RenderError, Renderer};
@@ -35,15 +35,16 @@ pub(crate) const BLENDS: [Blend; 9] = [
 ];
 
 pub(crate) fn settings(component: Component, blend: Blend) -> Settings {
-    Settings { component, blend, specular_reflectance: Vec3::new(1.0, 0.5, 0.25) }
+    Settings { component, blend, specular_reflectance: Vec3::new(1.0, 0.5, 0.25), filter: Filter::Bilinear }
 }
 
 fn mirror(blend: Blend) -> Settings {
-    Settings { component: Component::Mirror, blend, specular_reflectance: Vec3::ONE }
+    Settings { component: Component::Mirror, blend, specular_reflectance: Vec3::ONE, filter: Filter::Bilinear }
 }
 
 fn reconstruction() -> Settings {
-    Settings { component: Component::Reconstruction, blend: Blend::Distance, specular_reflectance: Vec3::ONE }
+    let component = Component::Reconstruction;
+    Settings { component, blend: Blend::Distance, specular_reflectance: Vec3::ONE, filter: Filter::Bilinear }
 }
 
 fn frame_of(field: OffsetSurfaceLightField, pages: &MemoryPages, camera: &Camera, settings: Settings) -> Result<Frame, RenderError> {
@@ -299,7 +300,7 @@ fn a_missing_or_misshapen_page_is_an_error_that_names_it() {
     let (mut field, pages) = WORLD.build();
     field.parameters.face_size_texels = 64;
     let outcome = frame_of(field, &pages, &camera, reconstruction());
-    assert!(matches!(outcome, Err(RenderError::PageShape { width: 32, expected: 64, .. })), "{outcome:?}");
+    assert!(matches!(outcome, Err(RenderError::PageShape { width: 32, expected: [64, 64], .. })), "{outcome:?}");
 }
 
 #[test]

@@ -3,7 +3,7 @@
 //! A frame is drawn in bands of rows, so that memory on the device does not grow with it. For each band the object is shaded; the
 //! kernel leaves word of every page it wanted, so that what is missing is known before anything is shown. In the steady state that
 //! pass is the frame. Otherwise missing pages are uploaded, as far as the request's allowance goes, and the pixels shaded again: exactly,
-//! or with the coarse level standing in for pages that are still missing; such a frame is not final. Where a band wants more pages
+//! or with coarse levels standing in for pages that are still missing; such a frame is not final. Where a band wants more pages
 //! than there are slots, its pixels are shaded in ranges that do not.
 
 use std::ops::Range;
@@ -13,7 +13,8 @@ use std::time::Instant;
 use bytemuck::Pod;
 use rayon::prelude::*;
 
-use super::super::{Blend, Settings, check_page};
+use super::super::coarse::with_levels;
+use super::super::{Blend, Settings};
 use super::{Kernel, MAX_BAND_PIXELS, MAX_GLANCE_PIXELS, ShadingUniform};
 use crate::geometry::{Camera, Intrinsics};
 use crate::gpu::{Gpu, GpuError, conform};
@@ -54,7 +55,7 @@ struct Part {
 enum Fidelity {
     /// Right where every page is there, meaningless elsewhere.
     Exact,
-    /// The coarse level stands in for missing pages.
+    /// Coarse levels stand in for missing pages.
     StandIn,
 }
 
@@ -68,12 +69,13 @@ impl Kernel {
             return Err(GpuError::BeyondLimit { what, needed: u64::from(width), limit: u64::from(limit) }.into());
         }
         self.ensure_atlas(pages)?;
-        let atlas = &mut self.atlas.as_mut().expect("made above").atlas;
+        let bound = self.atlas.as_mut().expect("made above");
+        let (atlas, stands_in) = (&mut bound.atlas, bound.coarse.exists());
         atlas.begin_frame();
         // Where one frame's pages do not fit together, refining would bring and lose them in turn for ever.
         let fits = self.last_wanted.iter().filter(|w| **w).count() <= atlas.capacity();
         let allowance_bytes = match request.refine {
-            Refine::UpTo { upload_bytes } if fits && self.coarse.exists() => Some(upload_bytes),
+            Refine::UpTo { upload_bytes } if fits && stands_in => Some(upload_bytes),
             Refine::Whole | Refine::UpTo { .. } => None,
         };
         let pixels = width as usize * height as usize;
@@ -171,7 +173,6 @@ impl Kernel {
                 parts.push(Part { was_brought: true, ..part });
                 continue;
             }
-            self.ensure_coarse(frame.pages)?;
             self.shade(&gpu, new_encoder(&gpu), frame, part.pixels, Fidelity::StandIn);
             passes += 1;
             frame.is_final = false;
@@ -216,6 +217,7 @@ impl Kernel {
         fidelity: Fidelity,
     ) {
         let key = self.pipeline(settings, fidelity == Fidelity::StandIn);
+        let coarse = self.atlas.as_ref().expect("made before").coarse;
         self.stamp = self.stamp.wrapping_add(1).max(1);
         let uniform = ShadingUniform {
             specular_reflectance: settings.specular_reflectance.into(),
@@ -224,10 +226,13 @@ impl Kernel {
             map_size: self.field.sample_maps.size as u32,
             baseline_cube: self.field.sample_points.len() as u32,
             stamp: self.stamp,
-            coarse_size: self.coarse.size,
+            coarse_level: coarse.level,
+            coarsest_level: self.field.parameters.coarser_levels,
+            face_count: self.field.face_count() as u32,
             first_pixel: pixels.start,
             end_pixel: pixels.end,
             padding: 0,
+            more_padding: [0; 2],
         };
         self.gpu.queue().write_buffer(&self.shading, 0, bytemuck::bytes_of(&uniform));
         let (band, atlas) = (self.bands[band].as_ref().expect("made before"), self.atlas.as_ref().expect("made before"));
@@ -283,17 +288,17 @@ impl Kernel {
 
     // Fetches and uploads.
     fn bring(&mut self, gpu: &Gpu, pages: &CountingSource<'_>, missing: &[u32], keep: &dyn Fn(u32) -> bool) -> Result<(), RenderError> {
-        let face_size = self.field.parameters.face_size_texels;
+        let field = &self.field;
         let bound = self.atlas.as_mut().expect("made before");
-        let shape = bound.shape;
+        let (shape, levels) = (bound.shape, bound.coarse.levels_before());
         let fetch = |page: &u32| {
             let fetched = pages.page(PageId(*page))?;
-            check_page(*page, fetched.shape(), face_size)?;
-            Ok((*page, conform(fetched, shape)?))
+            field.check_page(*page, fetched.shape())?;
+            Ok((*page, with_levels(conform(fetched, shape)?, levels)?))
         };
         // In batches, so that pages in flight do not fill memory: the source's cache may be small.
         for batch in missing.chunks(PAGES_IN_FLIGHT) {
-            let fetched: Vec<(u32, Arc<Page>)> = batch.par_iter().map(fetch).collect::<Result<_, RenderError>>()?;
+            let fetched: Vec<(u32, Vec<Arc<Page>>)> = batch.par_iter().map(fetch).collect::<Result<_, RenderError>>()?;
             bound.atlas.upload(gpu, &fetched, keep)?;
         }
         Ok(())

@@ -5,8 +5,8 @@ use std::sync::Arc;
 
 use glam::{Quat, Vec2, Vec3};
 
-use crate::capture::{Background, BackgroundSurface, shrunk_faces};
-use crate::directions::{CubeMap, FACES, direction_from_face, direction_from_lat_long, texel_direction};
+use crate::capture::{Background, BackgroundSurface, coarser_levels, halved, stacked};
+use crate::directions::{FACES, direction_from_face, direction_from_lat_long, texel_direction};
 use crate::geometry::{Camera, Intrinsics, Pose, TriangleMesh};
 use crate::images::Image;
 use crate::representations::offset_surface_light_field::{
@@ -35,9 +35,6 @@ pub struct World {
 
 /// Small enough for tests.
 pub const WORLD: World = World { rotation: Quat::IDENTITY, scale: 1.0, points: 80, face_size: 32, quads: 12, pixel: PixelFormat::F16 };
-
-/// Texels along a face of the coarse level.
-pub const COARSE_SIZE: u32 = 16;
 
 /// Offset of the sample points, in radii.
 pub const EPSILON: f32 = 0.1;
@@ -93,19 +90,23 @@ impl World {
             (0..self.points).map(|i| fibonacci(i, self.points)).map(|n| SamplePoint { position: (1.0 + EPSILON) * n, normal: n }).collect();
         let sample_maps = build_sample_maps(&unturned.sphere(), &unturned_points, 16, &|_, _| true);
         let mut pages = Vec::new();
-        let mut coarse = Vec::new();
+        let levels = coarser_levels(self.face_size) as usize;
+        let mut coarser = vec![Vec::new(); levels];
         for cube in 0..=self.points {
             let at = if cube < self.points { (1.0 + EPSILON) * fibonacci(cube, self.points) } else { Vec3::ZERO };
-            let faces: Vec<Arc<Page>> = (0..FACES).map(|face| Arc::new(self.page(at, cube == self.points, face))).collect();
-            coarse.push(Arc::new(self.coarse_page(&faces)));
-            pages.extend(faces);
+            let mut faces: Vec<Page> = (0..FACES).map(|face| self.page(at, cube == self.points, face)).collect();
+            pages.extend(faces.iter().cloned().map(Arc::new));
+            for level in &mut coarser {
+                faces = faces.iter().map(|face| halved(face, 3).expect("even sizes")).collect();
+                level.push(Arc::new(stacked(&faces).expect("six faces")));
+            }
         }
-        pages.append(&mut coarse);
+        pages.extend(coarser.into_iter().flatten());
         let parameters = Parameters {
             object: "sphere".into(),
             epsilon: EPSILON * self.scale,
             face_size_texels: self.face_size,
-            coarse_face_size_texels: COARSE_SIZE,
+            coarser_levels: levels as u32,
             sample_map_size_texels: 16,
             spacing: Spacing::Count(self.points as u32),
             object_center: [0.0; 3],
@@ -115,14 +116,6 @@ impl World {
         };
         let background = self.background();
         (OffsetSurfaceLightField { parameters, surface, sample_points, sample_maps, background }, MemoryPages(pages))
-    }
-
-    fn coarse_page(&self, faces: &[Arc<Page>]) -> Page {
-        let size = self.face_size;
-        let texels = faces.iter().flat_map(|p| (0..size * size).map(|t| p.texel(t % size, t / size))).collect();
-        let small = shrunk_faces(&CubeMap { size: size as usize, texels }, COARSE_SIZE as usize);
-        let shape = PageShape { width: COARSE_SIZE, height: FACES as u32 * COARSE_SIZE, channels: 3, pixel: self.pixel };
-        Page::from_f32(shape, small.as_flattened()).expect("shape and count agree")
     }
 
     fn page(&self, at: Vec3, without_sphere: bool, face: usize) -> Page {

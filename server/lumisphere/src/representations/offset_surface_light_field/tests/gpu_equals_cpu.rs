@@ -15,7 +15,7 @@ use crate::gpu::{GpuError, test_gpu};
 use crate::images::{Tolerance, count_beyond};
 use crate::render::{Backend, RenderError, Renderer};
 use crate::representations::g_buffer::{GBufferPixel, Seen};
-use crate::representations::offset_surface_light_field::{Blend, Component, OffsetSurfaceLightField, Settings};
+use crate::representations::offset_surface_light_field::{Blend, Component, Filter, OffsetSurfaceLightField, Settings};
 use crate::representations::{
     Answer, CountingSource, FrameRequest, GpuFrameStats, GpuKernel, Outputs, Pixels, Provenance, Refine, RenderError as Error,
     Representation, Settings as AnySettings,
@@ -51,7 +51,7 @@ impl Twins {
     fn shaded(&self, camera: &Camera, settings: Settings, g_buffer: &[GBufferPixel]) -> (Vec<f32>, Vec<Provenance>) {
         let source = CountingSource::new(&self.pages);
         let touched = PagesTouched::new(self.field.page_count());
-        let mut cubes = PagedCubes::new(self.field.parameters.face_size_texels, &source, &touched);
+        let mut cubes = PagedCubes::new(&self.field, &source, &touched);
         let width = camera.intrinsics().width_px;
         let mut pixels = (Vec::new(), Vec::new());
         for (at, pixel) in g_buffer.iter().enumerate() {
@@ -91,9 +91,10 @@ fn every_setting_agrees(world: &World, kept: usize) {
     starve(&mut field, kept);
     let Some(mut twins) = Twins::new((field, pages), BUDGET) else { return };
     let camera = world.camera(Vec3::new(1.2, 0.9, 2.4), Vec3::new(0.1, -0.1, 0.0), WIDTH, HEIGHT);
-    for component in COMPONENTS {
+    let filters = [Filter::Bilinear, Filter::Footprint];
+    for (component, filter) in COMPONENTS.into_iter().flat_map(|c| filters.map(|f| (c, f))) {
         for blend in BLENDS {
-            let settings = settings(component, blend);
+            let settings = Settings { filter, ..settings(component, blend) };
             let (pixels, _) = twins.on_gpu(&camera, settings).unwrap();
             let g_buffer = twins.kernel.read_g_buffer();
             let (color, provenance) = twins.shaded(&camera, settings, &g_buffer);
@@ -294,10 +295,13 @@ fn the_uniform_lies_in_memory_as_wgsl_has_it() {
             map_size,
             baseline_cube,
             stamp,
-            coarse_size,
+            coarse_level,
+            coarsest_level,
+            face_count,
             first_pixel,
             end_pixel,
-            padding
+            padding,
+            more_padding
         }
     );
 }

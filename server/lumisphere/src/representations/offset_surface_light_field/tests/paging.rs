@@ -4,18 +4,17 @@ use std::sync::Arc;
 
 use glam::Vec3;
 
-use super::super::coarse::{read_cube_map, unpacked};
 use super::super::kernel::Kernel;
 use super::super::reference::Reference;
 use super::super::shade::ReadCube;
-use super::fixture::{COARSE_SIZE, MemoryPages, WORLD, World};
+use super::fixture::{MemoryPages, WORLD, World};
 use super::{EVERYTHING, mirror};
-use crate::directions::{FACES, bilinear_footprint};
+use crate::directions::{DirectionDifferential, Texel, bilinear_footprint};
 use crate::geometry::Camera;
 use crate::gpu::test_gpu;
 use crate::images::{Tolerance, count_beyond};
 use crate::render::{Backend, Renderer};
-use crate::representations::offset_surface_light_field::{Blend, OffsetSurfaceLightField};
+use crate::representations::offset_surface_light_field::{Blend, Filter, OffsetSurfaceLightField, Settings};
 use crate::representations::{
     CachedPages, CountingSource, FrameRequest, GpuFrameStats, GpuKernel, PageSource, Pixels, Refine, RenderError, Representation,
     Settings as AnySettings,
@@ -23,7 +22,8 @@ use crate::representations::{
 use crate::textures::{Cache, CacheOptions, PageId, PolicyKind, Publication, Store, StoreOptions};
 
 const BUDGET: u64 = 256 << 20;
-const PAGE_BYTES: u64 = 32 * 32 * 8;
+// With the three levels that a slot has: 32² and, for the coarse ones, 16² and 8².
+const PAGE_BYTES: u64 = (32 * 32 + 16 * 16 + 8 * 8) * 8;
 // 1206 faces: 9.9 MB.
 const LARGE: World = World { points: 200, ..WORLD };
 
@@ -128,17 +128,19 @@ fn frames_under_a_cap_are_coarse_at_first_and_end_as_the_whole_frame() {
     assert!(scene.draw(camera, cap).unwrap().0.is_final);
 }
 
-/// The coarse level as the kernel has it.
-struct CoarseCubes(Vec<Vec<u32>>);
+/// The finest level that is always resident, and nothing else.
+struct OneLevel<'a> {
+    field: &'a OffsetSurfaceLightField,
+    pages: &'a dyn PageSource,
+    level: u32,
+}
 
-impl ReadCube for CoarseCubes {
-    fn read_cube(&mut self, cube: u32, direction: Vec3) -> Result<Vec3, RenderError> {
-        let n = COARSE_SIZE as usize;
-        let mut radiance = Vec3::ZERO;
-        for (texel, weight) in bilinear_footprint(direction, n) {
-            radiance += weight * unpacked(self.0[cube as usize][(texel.face * n + texel.row) * n + texel.column]);
-        }
-        Ok(radiance)
+impl ReadCube for OneLevel<'_> {
+    fn read_cube(&mut self, cube: u32, toward: &DirectionDifferential) -> Result<Vec3, RenderError> {
+        let size = self.field.level_size(self.level);
+        let page = self.pages.page(PageId(self.field.level_page(cube as usize, self.level)))?.page;
+        let texel = |t: Texel| Vec3::from_slice(&page.texel(t.column as u32, t.face as u32 * size + t.row as u32));
+        Ok(bilinear_footprint(toward.direction, size as usize).into_iter().map(|(t, weight)| weight * texel(t)).sum())
     }
 }
 
@@ -149,13 +151,12 @@ fn a_frame_without_any_page_agrees_with_the_coarse_level_on_the_cpu() {
     let (pixels, stats) = scene.draw(camera, Refine::UpTo { upload_bytes: 0 }).unwrap();
     assert!(!pixels.is_final && stats.pages_uploaded == 0 && stats.passes == 2);
     let g_buffer = scene.kernel.read_g_buffer();
-    let source = CountingSource::new(scene.pages.as_ref());
-    let cubes = (0..scene.field.cube_count()).map(|c| read_cube_map(&scene.field, c, COARSE_SIZE as usize, &source).unwrap());
-    let (mut cubes, reference) = (CoarseCubes(cubes.collect()), Reference::new(scene.field.clone()));
-    assert_eq!(cubes.0[0].len(), FACES * (COARSE_SIZE * COARSE_SIZE) as usize);
-    let shade = |cubes: &mut CoarseCubes, at: usize| {
+    let mut cubes = OneLevel { field: &scene.field, pages: scene.pages.as_ref(), level: 1 };
+    let reference = Reference::new(scene.field.clone());
+    let settings = Settings { filter: Filter::Bilinear, ..mirror(Blend::Distance) };
+    let shade = |cubes: &mut OneLevel<'_>, at: usize| {
         let position = (at as u32 % 80, at as u32 / 80);
-        reference.shade(&mirror(Blend::Distance), camera, position, &g_buffer[at], cubes).unwrap().radiance.to_array()
+        reference.shade(&settings, camera, position, &g_buffer[at], cubes).unwrap().radiance.to_array()
     };
     let expected: Vec<f32> = (0..g_buffer.len()).flat_map(|at| shade(&mut cubes, at)).collect();
     let report = count_beyond(&expected, &pixels.color, &Tolerance::F32_LOOKUP).unwrap();
@@ -176,7 +177,7 @@ fn frames_that_cannot_be_refined_are_drawn_whole() {
     // No coarse level: a dataset from before there was one.
     let (mut field, mut pages) = WORLD.build();
     pages.0.truncate(field.face_count());
-    field.parameters.coarse_face_size_texels = 0;
+    field.parameters.coarser_levels = 0;
     assert_eq!(field.page_count(), pages.0.len());
     let mut scene = Scene::new(field, Box::new(pages)).unwrap();
     assert_eq!(scene.draw(camera, cap).unwrap().0, whole);
