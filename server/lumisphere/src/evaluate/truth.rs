@@ -8,7 +8,7 @@ use serde::Serialize;
 use crate::geometry::Camera;
 use crate::images::Image;
 use crate::progress::{Cancelled, Progress};
-use crate::raytrace::{Appearance, TraceError, TraceSettings, TracedImage, Tracer};
+use crate::raytrace::{Appearance, TraceError, TraceSettings, Tracer};
 use crate::representations::Settings;
 use crate::scenes::Scene;
 
@@ -43,6 +43,9 @@ impl Truth {
     }
 }
 
+/// Paths of the object's pixels for each of the others.
+const PATHS_PER_PATH_AROUND: u32 = 16;
+
 /// Traces truths of one object in one scene.
 pub struct TruthRenderer {
     tracer: Tracer,
@@ -63,22 +66,29 @@ impl TruthRenderer {
         Ok(Self { tracer: Tracer::new(scene)?, object })
     }
 
-    /// The truths in `wanted`, and the diffuse one, seen from `camera`.
+    /// The truths in `wanted`, and the diffuse one, seen from `camera`. Around the object, where nothing is compared, with a 16th of the
+    /// paths.
     pub fn view(&self, camera: &Camera, wanted: &[Truth], trace: &TraceSettings, progress: &dyn Progress) -> Result<ViewTruth, Cancelled> {
-        let diffuse = self.trace(Truth::Diffuse, camera, trace, progress)?;
-        let object: Vec<bool> = diffuse.object.iter().map(|o| *o == self.object as u32).collect();
-        let mask = eroded(&object, diffuse.radiance.width);
-        let mut images = BTreeMap::from([(Truth::Diffuse, diffuse.radiance)]);
-        for truth in wanted {
+        let around = TraceSettings { samples_per_pixel: trace.samples_per_pixel.div_ceil(PATHS_PER_PATH_AROUND), ..*trace };
+        let all = self.with(Truth::Diffuse).render(camera, &around, progress)?;
+        let object: Vec<bool> = all.object.iter().map(|o| *o == self.object as u32).collect();
+        let mask = eroded(&object, all.radiance.width);
+        let mut images = BTreeMap::new();
+        for truth in [Truth::Diffuse].iter().chain(wanted) {
             if !images.contains_key(truth) {
-                images.insert(*truth, self.trace(*truth, camera, trace, progress)?.radiance);
+                let width = all.radiance.width;
+                let shows_object = |column, row| object[row * width + column];
+                let traced = self.with(*truth).render_where(&shows_object, camera, trace, progress)?;
+                let mut image = all.radiance.clone();
+                (0..object.len()).filter(|i| object[*i]).for_each(|i| image.set_rgb(i, traced.radiance.rgb(i)));
+                images.insert(*truth, image);
             }
         }
         Ok(ViewTruth { images, mask, object })
     }
 
-    fn trace(&self, truth: Truth, camera: &Camera, settings: &TraceSettings, progress: &dyn Progress) -> Result<TracedImage, Cancelled> {
-        self.tracer.with_appearance(self.object, truth.appearance()).render(camera, settings, progress)
+    fn with(&self, truth: Truth) -> Tracer {
+        self.tracer.with_appearance(self.object, truth.appearance())
     }
 }
 

@@ -60,10 +60,22 @@ struct Pixel {
 impl Tracer {
     /// The picture that `camera` takes. Reports "tracing" tile by tile; stops between tiles when cancelled.
     pub fn render(&self, camera: &Camera, settings: &TraceSettings, progress: &dyn Progress) -> Result<TracedImage, Cancelled> {
+        self.render_where(&|_, _| true, camera, settings, progress)
+    }
+
+    /// The same of pixels (column, row) that are `wanted` alone; the others are as if nothing was there. A pixel is the same in both.
+    pub fn render_where(
+        &self,
+        wanted: &(dyn Fn(usize, usize) -> bool + Sync),
+        camera: &Camera,
+        settings: &TraceSettings,
+        progress: &dyn Progress,
+    ) -> Result<TracedImage, Cancelled> {
         let (width, height) = (camera.intrinsics().width_px as usize, camera.intrinsics().height_px as usize);
         let tiles = Tiles::new(width, height);
         let pixels = tiles.trace(
             progress,
+            wanted,
             || self.paths(settings.max_bounces),
             |paths, tile| {
                 let corners: Vec<Vec2> = tile.iter().map(|(column, row)| Vec2::new(*column as f32, *row as f32)).collect();
@@ -79,7 +91,7 @@ impl Tracer {
             },
         )?;
         let mut image = TracedImage::empty(width, height);
-        tiles.scatter(&pixels, |index, pixel| image.set(index, pixel));
+        tiles.scatter(&pixels, wanted, |index, pixel| image.set(index, pixel));
         Ok(image)
     }
 
@@ -98,6 +110,7 @@ impl Tracer {
         let tiles = Tiles::new(size, FACES * size);
         let texels = tiles.trace(
             progress,
+            &|_, _| true,
             || self.paths(settings.max_bounces),
             |paths, tile| {
                 let toward = |texel: usize, at: Vec2| {
@@ -116,7 +129,7 @@ impl Tracer {
                 estimates.iter().zip(distances).map(|(e, distance)| [e.mean.x, e.mean.y, e.mean.z, distance]).collect()
             },
         )?;
-        tiles.scatter(&texels, |index, texel| cube.texels[index] = *texel);
+        tiles.scatter(&texels, &|_, _| true, |index, texel| cube.texels[index] = *texel);
         Ok(cube)
     }
 }
@@ -188,7 +201,9 @@ impl TracedImage {
     fn empty(width: usize, height: usize) -> Self {
         let planes = |channels| Image::zeros(width, height, channels);
         let object = vec![u32::MAX; width * height];
-        Self { radiance: planes(3), distance: planes(1), normal: planes(3), object, variance: planes(3) }
+        let mut distance = planes(1);
+        distance.planes[0].fill(f32::INFINITY);
+        Self { radiance: planes(3), distance, normal: planes(3), object, variance: planes(3) }
     }
 
     fn set(&mut self, index: usize, pixel: &Pixel) {
@@ -226,10 +241,11 @@ impl Tiles {
         (top..bottom).flat_map(move |row| (left..right).map(move |column| (column, row)))
     }
 
-    /// `trace` for the (column, row)s of every tile, over all threads; `worker` makes what a thread needs for a tile.
+    /// `trace` for the (column, row)s of every tile that are `wanted`, over all threads; `worker` makes what a thread needs for a tile.
     fn trace<W, P: Send>(
         &self,
         progress: &dyn Progress,
+        wanted: &(dyn Fn(usize, usize) -> bool + Sync),
         worker: impl Fn() -> W + Sync,
         trace: impl Fn(&mut W, &[(usize, usize)]) -> Vec<P> + Sync,
     ) -> Result<Vec<Vec<P>>, Cancelled> {
@@ -238,18 +254,18 @@ impl Tiles {
             if progress.is_cancelled() {
                 return Err(Cancelled);
             }
-            let positions: Vec<(usize, usize)> = self.pixels(tile).collect();
-            let pixels = trace(&mut worker(), &positions);
+            let positions: Vec<(usize, usize)> = self.pixels(tile).filter(|(column, row)| wanted(*column, *row)).collect();
+            let pixels = if positions.is_empty() { Vec::new() } else { trace(&mut worker(), &positions) };
             progress.report("tracing", done.fetch_add(1, Ordering::Relaxed) + 1, total);
             Ok(pixels)
         };
         (0..self.count()).into_par_iter().map(trace_tile).collect()
     }
 
-    /// Hands every pixel to `place` with its index `row · width + column`.
-    fn scatter<P>(&self, tiles: &[Vec<P>], mut place: impl FnMut(usize, &P)) {
+    /// Hands every `wanted` pixel to `place` with its index `row · width + column`.
+    fn scatter<P>(&self, tiles: &[Vec<P>], wanted: &dyn Fn(usize, usize) -> bool, mut place: impl FnMut(usize, &P)) {
         for (tile, pixels) in tiles.iter().enumerate() {
-            for ((column, row), pixel) in self.pixels(tile).zip(pixels) {
+            for ((column, row), pixel) in self.pixels(tile).filter(|(column, row)| wanted(*column, *row)).zip(pixels) {
                 place(row * self.width + column, pixel);
             }
         }

@@ -46,6 +46,20 @@ fn one_thread_and_two_make_the_same_bytes_and_another_seed_others() {
 }
 
 #[test]
+fn wanted_pixels_are_those_of_the_whole_picture_and_the_others_see_nothing() {
+    let (tracer, camera) = still_life(1.0);
+    let whole = render(&tracer, &camera, &settings(3, 4));
+    let width = whole.radiance.width;
+    let wanted = |column: usize, row: usize| column > 20 && (row + column).is_multiple_of(3);
+    let some = tracer.render_where(&wanted, &camera, &settings(3, 4), &Unattended).unwrap();
+    for at in 0..whole.object.len() {
+        let pixel = |image: &TracedImage| (image.radiance.rgb(at), image.distance.planes[0][at], image.object[at]);
+        let expected = if wanted(at % width, at / width) { pixel(&whole) } else { ([0.0; 3], f32::INFINITY, u32::MAX) };
+        assert_eq!(pixel(&some), expected);
+    }
+}
+
+#[test]
 fn a_scene_a_thousand_times_larger_or_smaller_looks_the_same() {
     let (tracer, view) = still_life(1.0);
     let expected = render(&tracer, &view, &settings(4, 6));

@@ -1,5 +1,6 @@
 //! What must hold of frames of this kind on the CPU. `tests/gpu_equals_cpu.rs` carries it over to the GPU.
 
+mod filter;
 pub(crate) mod fixture;
 #[cfg(feature = "gpu")]
 mod gpu_equals_cpu;
