@@ -135,7 +135,7 @@ impl Requests {
             Self::SampleMaps | Self::Reconstruction => Component::Reconstruction,
             Self::Mirror | Self::Glossy => Component::Mirror,
         };
-        settings(component, Blend::Normal(4.0), [1.0; 3], Backend::Cpu)
+        settings(component, Blend::Normal(4.0), [1.0; 3], Filter::Bilinear, Backend::Cpu)
     }
 }
 
