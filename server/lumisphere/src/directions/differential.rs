@@ -22,8 +22,12 @@ pub struct PyramidLevel {
     pub fraction: f32,
 }
 
-/// More texels than any face has; more than its square root, in units of half a face, is no pixel's image.
+/// More texels than any face has.
 const MOST_TEXELS: f32 = 65536.0;
+/// Squared; no image of a pixel spans so many halves of a face.
+const MOST_UNITS: f32 = 65536.0;
+/// Longer images than this many times their width are read wider than they are.
+const MOST_TAPS: f32 = 8.0;
 
 impl DirectionDifferential {
     /// A look at nothing but one direction.
@@ -31,26 +35,51 @@ impl DirectionDifferential {
         Self { direction, across: Vec3::ZERO, down: Vec3::ZERO }
     }
 
-    /// The longer side of the pixel's image on a face of `size` texels an edge, in texels; a large number where it has no end.
+    /// How to read a face of `size` texels an edge over the whole pixel: side by side along the longer side of its image, each over a piece as
+    /// long as the shorter one (Feline: McCormack and others 1999). The shorter side is the image's area by the longer one.
     ///
     /// With a the component of d of largest magnitude, on the face's plane d / a, a derivative δ moves by (δ − d · δₐ/a) / |a|; a face is
     /// two units wide.
-    pub fn texels_per_pixel(&self, size: u32) -> f32 {
+    pub fn taps(&self, size: u32) -> Taps {
         let d = self.direction;
         let m = d.abs();
-        let along = if m.x >= m.y && m.x >= m.z {
-            Vec3::X
-        } else if m.y >= m.z {
-            Vec3::Y
-        } else {
-            Vec3::Z
-        };
+        let along = if m.x >= m.y && m.x >= m.z { Vec3::X } else if m.y >= m.z { Vec3::Y } else { Vec3::Z };
         let a = d.dot(along);
-        let moved = |by: Vec3| ((by - d * (by.dot(along) / a)) / a).length_squared();
+        let moved = |by: Vec3| (by - d * (by.dot(along) / a)) / a;
         let (across, down) = (moved(self.across), moved(self.down));
-        let texels = across.max(down).sqrt() * (0.5 * size as f32);
+        let (wide, high) = (across.length_squared(), down.length_squared());
+        let longer = wide.max(high).sqrt();
         // Neither infinity nor NaN is below it.
-        if across + down < MOST_TEXELS { texels } else { MOST_TEXELS }
+        if !(wide + high < MOST_UNITS) {
+            return Taps { count: 1, step: Vec3::ZERO, texels: MOST_TEXELS };
+        }
+        let texels = longer * (0.5 * size as f32);
+        // A pixel of less than a texel needs no more than one read.
+        if texels <= 1.0 {
+            return Taps { count: 1, step: Vec3::ZERO, texels };
+        }
+        let shorter = (across.cross(down).length() / longer * (0.5 * size as f32)).max(1.0);
+        let count = (texels / shorter).ceil().min(MOST_TAPS);
+        let step = if wide > high { self.across } else { self.down } / count;
+        Taps { count: count as u32, step, texels: texels / count }
+    }
+}
+
+/// Reads that together cover a pixel, evenly spaced about the direction of its centre.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Taps {
+    /// 1 to 8.
+    pub count: u32,
+    /// From one tap's direction to the next.
+    pub step: Vec3,
+    /// Texels that each covers, along each side.
+    pub texels: f32,
+}
+
+impl Taps {
+    /// Of tap `tap`, where the pixel's centre looks toward `center`.
+    pub fn direction(&self, center: Vec3, tap: u32) -> Vec3 {
+        center + (tap as f32 - 0.5 * (self.count - 1) as f32) * self.step
     }
 }
 
@@ -72,16 +101,28 @@ mod tests {
     use crate::directions::{face_from_direction, texel_direction};
 
     #[test]
-    fn a_pixel_covers_as_many_texels_as_its_neighbours_directions_are_apart() {
+    fn taps_lie_along_the_longer_side_and_cover_it() {
         for (column, row) in [(20.0, 40.0), (64.0, 64.0), (1.0, 126.0), (100.5, 3.25)] {
             for face in 0..6 {
-                let d = texel_direction(face, 128, column, row);
-                let (across, down) = (Vec3::new(0.003, -0.001, 0.002), Vec3::new(-0.002, 0.001, 0.005));
-                let found = DirectionDifferential { direction: 3.0 * d, across: 3.0 * across, down: 3.0 * down }.texels_per_pixel(128);
                 let at = |d: Vec3| face_from_direction(d).1 * 64.0;
-                let step = |by: Vec3| (at(d + 0.01 * by) - at(d - 0.01 * by)).length() / 0.02;
-                let exact = step(across).max(step(down));
-                assert!((found - exact).abs() < 2e-3 * exact, "{face} {column} {row}: {found} where {exact} is exact");
+                let d = texel_direction(face, 128, column, row);
+                // Of any length, and its derivatives with it.
+                let seen = |across: Vec3, down: Vec3| DirectionDifferential { direction: 3.0 * d, across: 3.0 * across, down: 3.0 * down };
+                let (s, t) = d.any_orthonormal_pair();
+                let step = |by: Vec3| (at(d + 0.01 * by) - at(d - 0.01 * by)) / 0.02;
+                // Long down, short across.
+                let taps = seen(0.02 * s, 0.1 * t).taps(128);
+                let long = step(0.1 * t).length();
+                let short = step(0.02 * s).perp_dot(step(0.1 * t)).abs() / long;
+                assert_eq!(taps.count, (long / short).ceil() as u32, "{face} {column} {row}");
+                assert!((taps.texels * taps.count as f32 - long).abs() < 2e-3 * long);
+                assert!((taps.direction(d, 0) + taps.direction(d, taps.count - 1) - 2.0 * d).length() < 1e-6);
+                assert!((taps.step * taps.count as f32 - 0.3 * t).length() < 1e-5);
+                // As long as wide, and less than a texel.
+                assert_eq!(seen(0.001 * s, 0.001 * t).taps(128).count, 1);
+                assert!(seen(0.03 * s, 0.03 * t).taps(128).count <= 2);
+                // Without any width there is an end to it.
+                assert_eq!(seen(Vec3::ZERO, 0.2 * t).taps(128).count, 8);
             }
         }
     }
@@ -101,7 +142,7 @@ mod tests {
     fn derivatives_without_end_are_the_coarsest_level() {
         for bad in [f32::NAN, f32::INFINITY, f32::MAX] {
             let d = DirectionDifferential { direction: Vec3::Z, across: Vec3::X * bad, down: Vec3::ZERO };
-            assert_eq!(d.texels_per_pixel(128), MOST_TEXELS);
+            assert_eq!(d.taps(128), Taps { count: 1, step: Vec3::ZERO, texels: MOST_TEXELS });
         }
     }
 }

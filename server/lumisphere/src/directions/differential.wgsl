@@ -12,17 +12,20 @@ struct PyramidLevel {
 }
 
 const MOST_TEXELS: f32 = 65536.0;
+const MOST_UNITS: f32 = 65536.0;
+const MOST_TAPS: f32 = 8.0;
 
-fn single(direction: vec3<f32>) -> DirectionDifferential {
-    return DirectionDifferential(direction, vec3(0.0), vec3(0.0));
+fn moved(by: vec3<f32>, d: vec3<f32>, along: vec3<f32>, a: f32) -> vec3<f32> {
+    return (by - d * (dot(by, along) / a)) / a;
 }
 
-fn moved(by: vec3<f32>, d: vec3<f32>, along: vec3<f32>, a: f32) -> f32 {
-    let step = (by - d * (dot(by, along) / a)) / a;
-    return dot(step, step);
+struct Taps {
+    count: u32,
+    step: vec3<f32>,
+    texels: f32,
 }
 
-fn texels_per_pixel(toward: DirectionDifferential, size: u32) -> f32 {
+fn taps_over(toward: DirectionDifferential, size: u32) -> Taps {
     let d = toward.direction;
     let m = abs(d);
     let is_x = m.x >= m.y && m.x >= m.z;
@@ -31,7 +34,24 @@ fn texels_per_pixel(toward: DirectionDifferential, size: u32) -> f32 {
     let a = dot(d, along);
     let across = moved(toward.across, d, along, a);
     let down = moved(toward.down, d, along, a);
-    return select(MOST_TEXELS, sqrt(max(across, down)) * (0.5 * f32(size)), across + down < MOST_TEXELS);
+    let wide = dot(across, across);
+    let high = dot(down, down);
+    let longer = sqrt(max(wide, high));
+    if !(wide + high < MOST_UNITS) {
+        return Taps(1u, vec3(0.0), MOST_TEXELS);
+    }
+    let texels = longer * (0.5 * f32(size));
+    if texels <= 1.0 {
+        return Taps(1u, vec3(0.0), texels);
+    }
+    let shorter = max(length(cross(across, down)) / longer * (0.5 * f32(size)), 1.0);
+    let count = min(ceil(texels / shorter), MOST_TAPS);
+    let step = select(toward.down, toward.across, wide > high) / count;
+    return Taps(u32(count), step, texels / count);
+}
+
+fn tap_direction(taps: Taps, center: vec3<f32>, tap: u32) -> vec3<f32> {
+    return center + (f32(tap) - 0.5 * f32(taps.count - 1u)) * taps.step;
 }
 
 fn level_for_texels(texels: f32, coarsest: u32) -> PyramidLevel {

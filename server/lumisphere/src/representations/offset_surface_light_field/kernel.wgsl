@@ -134,23 +134,29 @@ fn is_resident(cube: u32, direction: vec3<f32>, level: u32) -> bool {
 }
 
 fn read_cube(cube: u32, toward: DirectionDifferential) -> vec3<f32> {
+    var taps = Taps(1u, vec3(0.0), 1.0);
     var level = PyramidLevel(0u, 0.0);
     if FILTERED {
-        level = level_for_texels(FOOTPRINT_WIDTH * texels_per_pixel(toward, shading.face_size), shading.coarsest_level);
-    }
-    if STAND_IN {
-        let coarser = min(level.fine + 1u, shading.coarsest_level);
-        let resident = is_resident(cube, toward.direction, level.fine) && (!FILTERED || is_resident(cube, toward.direction, coarser));
-        level = PyramidLevel(select(shading.coarse_level, level.fine, resident), select(0.0, level.fraction, resident));
+        taps = taps_over(toward, shading.face_size);
+        level = level_for_texels(FOOTPRINT_WIDTH * taps.texels, shading.coarsest_level);
     }
     var radiance = vec3(0.0);
-    for (var step = 0u; step < 2u; step++) {
-        let weight = select(1.0 - level.fraction, level.fraction, step == 1u);
-        if weight > 0.0 {
-            radiance += weight * read_level(cube, toward.direction, level.fine + step);
+    for (var tap = 0u; tap < taps.count; tap++) {
+        let direction = tap_direction(taps, toward.direction, tap);
+        var between = level;
+        if STAND_IN {
+            let coarser = min(level.fine + 1u, shading.coarsest_level);
+            let resident = is_resident(cube, direction, level.fine) && (!FILTERED || is_resident(cube, direction, coarser));
+            between = PyramidLevel(select(shading.coarse_level, level.fine, resident), select(0.0, level.fraction, resident));
+        }
+        for (var step = 0u; step < 2u; step++) {
+            let weight = select(1.0 - between.fraction, between.fraction, step == 1u);
+            if weight > 0.0 {
+                radiance += weight * read_level(cube, direction, between.fine + step);
+            }
         }
     }
-    return radiance;
+    return radiance / f32(taps.count);
 }
 
 fn candidates_at(part: u32, uv: vec2<f32>) -> vec4<u32> {

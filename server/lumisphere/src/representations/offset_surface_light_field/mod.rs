@@ -31,7 +31,7 @@ use glam::Vec3;
 use serde::{Deserialize, Serialize};
 
 use crate::capture::Background;
-use crate::directions::{DirectionDifferential, FACES, PyramidLevel, Texel};
+use crate::directions::{DirectionDifferential, FACES, PyramidLevel, Taps, Texel};
 use crate::geometry::TriangleMesh;
 #[cfg(feature = "gpu")]
 use crate::gpu::{Gpu, GpuError};
@@ -272,12 +272,10 @@ impl OffsetSurfaceLightField {
         }
     }
 
-    /// What level a pixel reads that sees a cube map so.
-    fn level_for(&self, toward: &DirectionDifferential) -> PyramidLevel {
-        PyramidLevel::for_texels(
-            FOOTPRINT_WIDTH * toward.texels_per_pixel(self.parameters.face_size_texels),
-            self.parameters.coarser_levels,
-        )
+    /// How a pixel reads that sees a cube map so: where, and between which levels.
+    fn reads_over(&self, toward: &DirectionDifferential) -> (Taps, PyramidLevel) {
+        let taps = toward.taps(self.parameters.face_size_texels);
+        (taps, PyramidLevel::for_texels(FOOTPRINT_WIDTH * taps.texels, self.parameters.coarser_levels))
     }
 
     // A page must have its level's shape before anything indexes into it.

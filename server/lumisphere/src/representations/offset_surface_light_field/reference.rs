@@ -8,7 +8,7 @@ use glam::Vec3;
 use super::requests::record_requests;
 use super::shade::{ReadCube, shade_object};
 use super::{OffsetSurfaceLightField, Settings};
-use crate::directions::{DirectionDifferential, PyramidLevel, bilinear_footprint};
+use crate::directions::bilinear_footprint;
 use crate::geometry::Camera;
 use crate::raytrace::Stack;
 use crate::representations::buckets::{PixelResult, render_in_buckets};
@@ -126,7 +126,9 @@ impl<'a> PagedCubes<'a> {
             }
         }
     }
+}
 
+impl ReadCube for PagedCubes<'_> {
     fn read_level(&mut self, cube: u32, direction: Vec3, level: u32) -> Result<Vec3, RenderError> {
         let footprint = bilinear_footprint(direction, self.field.level_size(level) as usize);
         let mut at = [(PageId(0), 0, 0); 4];
@@ -138,15 +140,8 @@ impl<'a> PagedCubes<'a> {
         let texels = self.reader.texels(at)?;
         Ok(texels.iter().zip(&footprint).map(|(t, (_, weight))| *weight * Vec3::from_slice(t)).sum())
     }
-}
 
-impl ReadCube for PagedCubes<'_> {
-    fn read_cube(&mut self, cube: u32, toward: &DirectionDifferential) -> Result<Vec3, RenderError> {
-        let PyramidLevel { fine, fraction } = self.field.level_for(toward);
-        let radiance = self.read_level(cube, toward.direction, fine)?;
-        if fraction == 0.0 {
-            return Ok(radiance);
-        }
-        Ok(radiance + fraction * (self.read_level(cube, toward.direction, fine + 1)? - radiance))
+    fn field(&self) -> &OffsetSurfaceLightField {
+        self.field
     }
 }

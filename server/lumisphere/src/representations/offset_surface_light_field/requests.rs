@@ -4,7 +4,7 @@ use glam::{Vec2, Vec3};
 
 use super::shade::{ReadCube, mirror_direction, radiance_toward, shade_object, sight};
 use super::{OffsetSurfaceLightField, Settings};
-use crate::directions::{DirectionDifferential, PyramidLevel, bilinear_footprint};
+use crate::directions::{DirectionDifferential, bilinear_footprint};
 use crate::geometry::Camera;
 use crate::raytrace::{SampleSequence, Stack};
 use crate::representations::g_buffer::{GBufferPixel, GBufferTracer, Seen};
@@ -79,25 +79,19 @@ struct Requests<'a> {
     sink: &'a mut dyn FnMut(TexelRequest),
 }
 
-impl Requests<'_> {
-    fn request(&mut self, cube: u32, direction: Vec3, level: u32) {
+impl ReadCube for Requests<'_> {
+    fn read_level(&mut self, cube: u32, direction: Vec3, level: u32) -> Result<Vec3, RenderError> {
         let footprint = bilinear_footprint(direction, self.field.level_size(level) as usize);
         let place = |k: usize| {
             let (page, row) = self.field.texel_place(cube, level, footprint[k].0);
             (PageId(page), row)
         };
         (self.sink)(TexelRequest::LookUp([place(0), place(1), place(2), place(3)]));
-    }
-}
-
-impl ReadCube for Requests<'_> {
-    fn read_cube(&mut self, cube: u32, toward: &DirectionDifferential) -> Result<Vec3, RenderError> {
-        let PyramidLevel { fine, fraction } = self.field.level_for(toward);
-        self.request(cube, toward.direction, fine);
-        if fraction > 0.0 {
-            self.request(cube, toward.direction, fine + 1);
-        }
         Ok(Vec3::ZERO)
+    }
+
+    fn field(&self) -> &OffsetSurfaceLightField {
+        self.field
     }
 }
 

@@ -7,15 +7,34 @@
 use glam::Vec3;
 
 use super::{Blend, Component, Filter, NO_SAMPLE, OffsetSurfaceLightField, RUNTIME_HORIZON_DEG, Settings};
-use crate::directions::DirectionDifferential;
+use crate::directions::{DirectionDifferential, PyramidLevel};
 use crate::geometry::Camera;
 use crate::representations::RenderError;
 use crate::representations::g_buffer::{GBufferPixel, Seen};
 use crate::representations::provenance::{Answer, Provenance};
 
-/// Reads cube map `cube` over what one pixel sees of it: bilinear and seamless on two levels of its pyramid.
+/// Reads cube maps.
 pub(super) trait ReadCube {
-    fn read_cube(&mut self, cube: u32, toward: &DirectionDifferential) -> Result<Vec3, RenderError>;
+    /// Toward a direction, of one level: bilinear and seamless.
+    fn read_level(&mut self, cube: u32, direction: Vec3, level: u32) -> Result<Vec3, RenderError>;
+
+    /// The light field whose they are.
+    fn field(&self) -> &OffsetSurfaceLightField;
+
+    /// Over what one pixel sees: side by side where that is long, each between two levels.
+    fn read_cube(&mut self, cube: u32, toward: &DirectionDifferential) -> Result<Vec3, RenderError> {
+        let (taps, PyramidLevel { fine, fraction }) = self.field().reads_over(toward);
+        let mut radiance = Vec3::ZERO;
+        for tap in 0..taps.count {
+            let direction = taps.direction(toward.direction, tap);
+            for (level, weight) in [(fine, 1.0 - fraction), (fine + 1, fraction)] {
+                if weight > 0.0 {
+                    radiance += weight * self.read_level(cube, direction, level)?;
+                }
+            }
+        }
+        Ok(radiance / taps.count as f32)
+    }
 }
 
 /// A surface point, its unit normal, and the direction in which the camera sees it; or the derivatives of all three by the pixel.

@@ -9,7 +9,7 @@ use super::super::reference::Reference;
 use super::super::shade::ReadCube;
 use super::fixture::{MemoryPages, WORLD, World};
 use super::{EVERYTHING, mirror};
-use crate::directions::{DirectionDifferential, Texel, bilinear_footprint};
+use crate::directions::{Texel, bilinear_footprint};
 use crate::geometry::Camera;
 use crate::gpu::test_gpu;
 use crate::images::{Tolerance, count_beyond};
@@ -136,11 +136,15 @@ struct OneLevel<'a> {
 }
 
 impl ReadCube for OneLevel<'_> {
-    fn read_cube(&mut self, cube: u32, toward: &DirectionDifferential) -> Result<Vec3, RenderError> {
+    fn read_level(&mut self, cube: u32, direction: Vec3, _: u32) -> Result<Vec3, RenderError> {
         let size = self.field.level_size(self.level);
         let page = self.pages.page(PageId(self.field.level_page(cube as usize, self.level)))?.page;
         let texel = |t: Texel| Vec3::from_slice(&page.texel(t.column as u32, t.face as u32 * size + t.row as u32));
-        Ok(bilinear_footprint(toward.direction, size as usize).into_iter().map(|(t, weight)| weight * texel(t)).sum())
+        Ok(bilinear_footprint(direction, size as usize).into_iter().map(|(t, weight)| weight * texel(t)).sum())
+    }
+
+    fn field(&self) -> &OffsetSurfaceLightField {
+        self.field
     }
 }
 
