@@ -59,7 +59,7 @@ impl DirectionDifferential {
             return Taps { count: 1, step: Vec3::ZERO, texels };
         }
         let shorter = (across.cross(down).length() / longer * (0.5 * size as f32)).max(1.0);
-        let count = (texels / shorter).ceil().min(MOST_TAPS);
+        let count = (texels / shorter + 0.5).floor().min(MOST_TAPS);
         let step = if wide > high { self.across } else { self.down } / count;
         Taps { count: count as u32, step, texels: texels / count }
     }
@@ -111,16 +111,16 @@ mod tests {
                 let (s, t) = d.any_orthonormal_pair();
                 let step = |by: Vec3| (at(d + 0.01 * by) - at(d - 0.01 * by)) / 0.02;
                 // Long down, short across.
-                let taps = seen(0.02 * s, 0.1 * t).taps(128);
-                let long = step(0.1 * t).length();
-                let short = step(0.02 * s).perp_dot(step(0.1 * t)).abs() / long;
-                assert_eq!(taps.count, (long / short).ceil() as u32, "{face} {column} {row}");
+                let taps = seen(0.02 * s, 0.08 * t).taps(128);
+                let long = step(0.08 * t).length();
+                let short = step(0.02 * s).perp_dot(step(0.08 * t)).abs() / long;
+                assert_eq!(taps.count, (long / short).round() as u32, "{face} {column} {row}");
                 assert!((taps.texels * taps.count as f32 - long).abs() < 2e-3 * long);
                 assert!((taps.direction(d, 0) + taps.direction(d, taps.count - 1) - 2.0 * d).length() < 1e-6);
-                assert!((taps.step * taps.count as f32 - 0.3 * t).length() < 1e-5);
+                assert!((taps.step * taps.count as f32 - 0.24 * t).length() < 1e-5);
                 // As long as wide, and less than a texel.
                 assert_eq!(seen(0.001 * s, 0.001 * t).taps(128).count, 1);
-                assert!(seen(0.03 * s, 0.03 * t).taps(128).count <= 2);
+                assert!(seen(0.03 * s, 0.03 * t).taps(128).count <= 2, "no face is stretched by more");
                 // Without any width there is an end to it.
                 assert_eq!(seen(Vec3::ZERO, 0.2 * t).taps(128).count, 8);
             }

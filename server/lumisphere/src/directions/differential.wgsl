@@ -45,7 +45,7 @@ fn taps_over(toward: DirectionDifferential, size: u32) -> Taps {
         return Taps(1u, vec3(0.0), texels);
     }
     let shorter = max(length(cross(across, down)) / longer * (0.5 * f32(size)), 1.0);
-    let count = min(ceil(texels / shorter), MOST_TAPS);
+    let count = min(floor(texels / shorter + 0.5), MOST_TAPS);
     let step = select(toward.down, toward.across, wide > high) / count;
     return Taps(u32(count), step, texels / count);
 }
