@@ -33,7 +33,8 @@ pub struct Arguments {
     /// Sizes in pages
     #[arg(long, value_name = "PAGES", value_delimiter = ',', default_value = "2,4,8,16,32,64,128,256")]
     sizes: Vec<u32>,
-    /// Which of the trace's parts: 0 the first dataset's pages; a recorded path's sample maps are 1
+    /// Which of the trace's parts: 0 the first dataset's pages (a recorded path's faces); of a recorded path, 1 the sample maps, 2 and on the
+    /// coarser levels
     #[arg(long, value_name = "INDEX", default_value_t = 0)]
     part: u32,
     /// Also send the trace through a real cache over this data folder of a server, which must not be running, and say how long it took;
@@ -90,7 +91,7 @@ const HEAD: &str = "strategy,policy,size_pages,texel_fetches,misses,miss_percent
 pub fn replay(arguments: &Arguments, context: &Context) -> anyhow::Result<()> {
     let whole = read_trace(&arguments.trace)?;
     let trace = whole.only(arguments.part).ok_or_else(|| {
-        let names: Vec<_> = whole.versions.iter().map(|v| v.dataset.as_str()).collect();
+        let names: Vec<_> = whole.versions.iter().map(|v| format!("{} of {}x{}", v.dataset, v.shape.width, v.shape.height)).collect();
         Failure::Usage(format!("--part is {}, the trace has {}: {}", arguments.part, names.len(), names.join(", ")))
     })?;
     if trace.is_truncated {

@@ -43,7 +43,13 @@ impl DirectionDifferential {
     pub fn taps(&self, size: u32) -> Taps {
         let d = self.direction;
         let m = d.abs();
-        let along = if m.x >= m.y && m.x >= m.z { Vec3::X } else if m.y >= m.z { Vec3::Y } else { Vec3::Z };
+        let along = if m.x >= m.y && m.x >= m.z {
+            Vec3::X
+        } else if m.y >= m.z {
+            Vec3::Y
+        } else {
+            Vec3::Z
+        };
         let a = d.dot(along);
         let moved = |by: Vec3| (by - d * (by.dot(along) / a)) / a;
         let (across, down) = (moved(self.across), moved(self.down));

@@ -19,7 +19,7 @@ use crate::geometry::Camera;
 use crate::gpu::{Gpu, GpuCacheStats, GpuError};
 #[cfg(feature = "gpu")]
 use crate::textures::PolicyKind;
-use crate::textures::StoreError;
+use crate::textures::{PageId, StoreError};
 use offset_surface_light_field as oslf;
 
 pub use page_source::{CachedPages, CountingReader, CountingSource, Fetched, PageSource, PageUse, TexelReader, WholePages};
@@ -107,6 +107,9 @@ pub trait Representation: std::fmt::Debug + Send + Sync {
 
     /// How many pages its dataset has.
     fn page_count(&self) -> usize;
+
+    /// The first page of each run of pages of one shape, in order; the first is page 0.
+    fn page_groups(&self) -> Vec<PageId>;
 
     /// Parts with a table of sample points, and the rows of each.
     fn sample_map_rows(&self) -> (u32, u32);

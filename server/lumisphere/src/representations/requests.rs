@@ -3,7 +3,7 @@
 use super::buckets::BUCKET_PX;
 use super::{Representation, Settings};
 use crate::geometry::Camera;
-use crate::textures::{DatasetVersion, PageId, PageShape, PixelFormat, Trace, TraceEvent, TracedVersion};
+use crate::textures::{DatasetVersion, PageId, PageShape, PixelFormat, StoreError, Trace, TraceEvent, TracedVersion};
 
 /// One request.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -52,24 +52,29 @@ pub struct Recording<'a> {
     pub lobe: Option<Lobe>,
 }
 
-/// Builds a [`Trace`] of frames: version 0 are the dataset's pages, version 1 the rows of its sample maps, each a page of one row.
+/// Builds a [`Trace`] of frames: version 0 are the dataset's first pages, version 1 the rows of its sample maps, each a page of one row;
+/// then follow the dataset's other pages, a version for each group of one shape. Pages keep their numbers.
 #[derive(Debug)]
 pub struct RequestTrace {
     trace: Trace,
     rows_per_part: u32,
+    groups: Vec<PageId>,
     left: usize,
 }
 
 impl RequestTrace {
-    /// Nothing asked for yet. `limit_bytes` is the memory that events may take.
-    pub fn new(version: &DatasetVersion, representation: &dyn Representation, limit_bytes: usize) -> Self {
-        let pages = TracedVersion::of(version);
+    /// Nothing asked for yet. `limit_bytes` is the memory that events may take. Reads a page of each group, for its shape.
+    pub fn new(version: &DatasetVersion, representation: &dyn Representation, limit_bytes: usize) -> Result<Self, StoreError> {
+        let groups = representation.page_groups();
+        let of_group = |first: &PageId| Ok(TracedVersion { shape: version.read_page(*first)?.shape(), ..TracedVersion::of(version) });
+        let mut versions = groups.iter().map(of_group).collect::<Result<Vec<_>, StoreError>>()?;
         let (parts, rows_per_part) = representation.sample_map_rows();
         let row = PageShape { width: rows_per_part.max(1), height: 1, channels: 4, pixel: PixelFormat::F16 };
+        let pages = TracedVersion::of(version);
         let dataset = format!("{} sample maps", pages.dataset);
-        let sample_maps = TracedVersion { dataset, page_count: parts * rows_per_part, shape: row, ..pages.clone() };
-        let trace = Trace { versions: vec![pages, sample_maps], events: Vec::new(), is_truncated: false };
-        Self { trace, rows_per_part, left: limit_bytes / size_of::<TraceEvent>() }
+        versions.insert(versions.len().min(1), TracedVersion { dataset, page_count: parts * rows_per_part, shape: row, ..pages });
+        let trace = Trace { versions, events: Vec::new(), is_truncated: false };
+        Ok(Self { trace, rows_per_part, groups, left: limit_bytes / size_of::<TraceEvent>() })
     }
 
     /// The next frame's requests follow.
@@ -80,7 +85,10 @@ impl RequestTrace {
     /// The next request.
     pub fn push(&mut self, request: TexelRequest) {
         match request {
-            TexelRequest::LookUp(texels) => texels.into_iter().for_each(|(page, row)| self.fetch(0, page, row)),
+            TexelRequest::LookUp(texels) => texels.into_iter().for_each(|(page, row)| {
+                let group = self.groups.partition_point(|first| *first <= page).max(1) as u32 - 1;
+                self.fetch(if group == 0 { 0 } else { group + 1 }, page, row);
+            }),
             TexelRequest::SampleMap { part, row } => self.fetch(1, PageId(part * self.rows_per_part + row), 0),
         }
     }

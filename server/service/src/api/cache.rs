@@ -172,7 +172,7 @@ impl Wish {
         let version = app.catalog.open_version(&self.dataset, self.version)?;
         check_kind(&self.settings, version.representation.kind().name())?;
         let kernel = version.representation.clone().cpu_kernel();
-        let mut trace = RequestTrace::new(&version.pages.version, version.representation.as_ref(), MAX_RECORDING_BYTES);
+        let mut trace = RequestTrace::new(&version.pages.version, version.representation.as_ref(), MAX_RECORDING_BYTES)?;
         for camera in &self.cameras {
             if is_unwanted() {
                 return Err(ApiError::new(Reason::ShuttingDown, "the recording is not wanted any more"));

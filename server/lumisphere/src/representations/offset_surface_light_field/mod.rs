@@ -38,7 +38,7 @@ use crate::gpu::{Gpu, GpuError};
 #[cfg(feature = "gpu")]
 use crate::representations::GpuKernel;
 use crate::representations::{CpuKernel, Kind, RenderError, Representation};
-use crate::textures::PageShape;
+use crate::textures::{PageId, PageShape};
 
 pub use construct::{ConstructError, ConstructSettings, construct};
 #[cfg(all(test, feature = "gpu"))]
@@ -297,6 +297,11 @@ impl Representation for OffsetSurfaceLightField {
 
     fn page_count(&self) -> usize {
         self.page_count()
+    }
+
+    fn page_groups(&self) -> Vec<PageId> {
+        let levels = (1..=self.parameters.coarser_levels).map(|level| self.level_page(0, level));
+        std::iter::once(0).chain(levels).map(PageId).collect()
     }
 
     fn sample_map_rows(&self) -> (u32, u32) {

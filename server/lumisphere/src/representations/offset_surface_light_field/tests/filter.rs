@@ -45,12 +45,8 @@ fn noisy(world: &World) -> (OffsetSurfaceLightField, MemoryPages) {
 fn times(camera: &Camera, factor: u32) -> Camera {
     let Intrinsics { width_px, height_px, focal_px, center_px } = *camera.intrinsics();
     let scale = factor as f32;
-    let intrinsics = Intrinsics {
-        width_px: factor * width_px,
-        height_px: factor * height_px,
-        focal_px: scale * focal_px,
-        center_px: scale * center_px,
-    };
+    let intrinsics =
+        Intrinsics { width_px: factor * width_px, height_px: factor * height_px, focal_px: scale * focal_px, center_px: scale * center_px };
     Camera::new(intrinsics, *camera.pose()).unwrap()
 }
 
