@@ -86,8 +86,8 @@ pub enum EvaluateError<E: std::error::Error> {
 
 /// Renders every setting at every camera through `render`, compares with the truth, and hands pictures to `keep`.
 ///
-/// Only pixels count that show the object and whose eight neighbours do: at silhouettes a box-filtered truth and a frame sampled at
-/// pixel centres differ by definition.
+/// Only pixels count that show the object and whose eight neighbours show the same fold of it: at silhouettes, inner ones too, a box-filtered
+/// truth and a frame that sees one point a pixel differ by definition.
 pub fn evaluate<E: std::error::Error>(
     scene: &Scene,
     plan: &Plan,

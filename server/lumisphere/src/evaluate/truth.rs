@@ -55,7 +55,7 @@ pub struct TruthRenderer {
 /// The truths of one view.
 pub struct ViewTruth {
     images: BTreeMap<Truth, Image>,
-    /// Pixels that count: the object fills them and their eight neighbours.
+    /// Pixels that count: one fold of the object fills them and their eight neighbours.
     pub mask: Vec<bool>,
     object: Vec<bool>,
 }
@@ -72,7 +72,12 @@ impl TruthRenderer {
         let around = TraceSettings { samples_per_pixel: trace.samples_per_pixel.div_ceil(PATHS_PER_PATH_AROUND), ..*trace };
         let all = self.with(Truth::Diffuse).render(camera, &around, progress)?;
         let object: Vec<bool> = all.object.iter().map(|o| *o == self.object as u32).collect();
-        let mask = eroded(&object, all.radiance.width);
+        let points = |at: usize| {
+            let (i, j) = (at % all.radiance.width, at / all.radiance.width);
+            let ray = camera.pixel_ray(i as u32, j as u32);
+            (ray.at(all.distance.planes[0][at]), Vec3::from(all.normal.rgb(at)))
+        };
+        let mask = inside_silhouettes(&object, all.radiance.width, &|a, b| smoothly_joined(points(a), points(b)));
         let mut images = BTreeMap::new();
         for truth in [Truth::Diffuse].iter().chain(wanted) {
             if !images.contains_key(truth) {
@@ -107,17 +112,28 @@ impl ViewTruth {
     }
 }
 
-// True where the pixel and its eight neighbours are.
-fn eroded(mask: &[bool], width: usize) -> Vec<bool> {
-    let height = mask.len() / width;
+// True where the pixel and its eight neighbours show the object, and no other fold of it begins between them.
+fn inside_silhouettes(object: &[bool], width: usize, joined: &dyn Fn(usize, usize) -> bool) -> Vec<bool> {
+    let height = object.len() / width;
     let inside = |i: usize| {
         let (row, column) = (i / width, i % width);
-        if row == 0 || column == 0 || row + 1 == height || column + 1 == width {
+        if !object[i] || row == 0 || column == 0 || row + 1 == height || column + 1 == width {
             return false;
         }
-        (row - 1..=row + 1).all(|r| mask[r * width + column - 1..=r * width + column + 1].iter().all(|m| *m))
+        (row - 1..=row + 1).flat_map(|r| (column - 1..=column + 1).map(move |c| r * width + c)).all(|at| object[at] && joined(i, at))
     };
-    (0..mask.len()).map(inside).collect()
+    (0..object.len()).map(inside).collect()
+}
+
+/// Largest cosine between the chord of two neighbouring points and the mean of their normals: on a smooth surface the chord lies across it,
+/// from one fold to another it runs along the ray.
+const MOST_ALONG: f32 = 0.5;
+/// Least cosine between their normals.
+const LEAST_AGREEMENT: f32 = 0.5;
+
+fn smoothly_joined((x, n): (Vec3, Vec3), (y, m): (Vec3, Vec3)) -> bool {
+    let (chord, mean) = (y - x, n + m);
+    n.dot(m) >= LEAST_AGREEMENT && chord.dot(mean).abs() <= MOST_ALONG * chord.length() * mean.length()
 }
 
 #[cfg(test)]
@@ -125,11 +141,26 @@ mod tests {
     use super::*;
 
     #[test]
-    fn erosion_keeps_only_pixels_with_eight_neighbours() {
+    fn only_pixels_with_eight_neighbours_on_the_same_fold_count() {
+        let count = |object: &[bool], joined: &dyn Fn(usize, usize) -> bool| {
+            inside_silhouettes(object, 5, joined).iter().filter(|m| **m).count()
+        };
         let full = vec![true; 25];
-        assert_eq!(eroded(&full, 5).iter().filter(|m| **m).count(), 9);
-        let mut holed = full;
+        assert_eq!(count(&full, &|_, _| true), 9);
+        let mut holed = full.clone();
         holed[12] = false;
-        assert_eq!(eroded(&holed, 5).iter().filter(|m| **m).count(), 0);
+        assert_eq!(count(&holed, &|_, _| true), 0);
+        // A fold between the second and the third column: those beside it do not count.
+        assert_eq!(count(&full, &|a, b| (a % 5 < 2) == (b % 5 < 2)), 3);
+    }
+
+    #[test]
+    fn a_sphere_is_smooth_and_a_ledge_before_it_is_not() {
+        let on_sphere = |angle: f32| (Vec3::new(angle.sin(), 0.0, angle.cos()), Vec3::new(angle.sin(), 0.0, angle.cos()));
+        assert!(smoothly_joined(on_sphere(1.2), on_sphere(1.5)) && smoothly_joined(on_sphere(0.3), on_sphere(0.3)));
+        // The same normal, further away along the ray.
+        let ledge = (Vec3::new(0.01, 0.0, 0.5), Vec3::new(0.3, 0.0, 0.954));
+        assert!(!smoothly_joined(on_sphere(0.0), ledge));
+        assert!(!smoothly_joined(on_sphere(0.0), (Vec3::new(0.01, 0.0, 1.0), Vec3::X)));
     }
 }

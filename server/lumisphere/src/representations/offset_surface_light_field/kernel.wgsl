@@ -53,7 +53,8 @@ const FILLED: u32 = 2u;
 const UNKNOWN_ANSWER: u32 = 3u;
 // cos 65°
 const COS_HORIZON: f32 = 0.42261826;
-const FOOTPRINT_WIDTH: f32 = 1.0;
+const FOOTPRINT_WIDTH: f32 = 0.5;
+const MOST_TURN: f32 = 0.15;
 
 // A surface point, its normal and the direction to it; or their derivatives by the pixel.
 struct Sight {
@@ -189,6 +190,15 @@ fn only(k: u32) -> vec4<f32> {
     return select(vec4(0.0), vec4(1.0), vec4(k) == vec4(0u, 1u, 2u, 3u));
 }
 
+fn within_the_surface(by: Sight) -> vec3<f32> {
+    return by.position * (MOST_TURN / max(length(by.normal), MOST_TURN));
+}
+
+fn short_of_the_horizon(derivative: vec3<f32>, cosine: f32) -> vec3<f32> {
+    let most = 0.5 * max(cosine, 0.0);
+    return derivative * (most / max(length(derivative), most));
+}
+
 fn reconstruct(at: Sight, across: Sight, down: Sight, candidates: vec4<u32>) -> Shaded {
     let x = at.position;
     let n = at.normal;
@@ -207,7 +217,13 @@ fn reconstruct(at: Sight, across: Sight, down: Sight, candidates: vec4<u32>) -> 
     let candidate = element(candidates, select(within, nearest, within == 4u));
     let p = sample_points[candidate].xyz;
     let per_length = 1.0 / length(p - x);
-    let toward_x = DirectionDifferential(-toward(x, p, n), across.position * per_length, down.position * per_length);
+    let up = toward(x, p, n);
+    let cosine = dot(n, up);
+    let toward_x = DirectionDifferential(
+        -up,
+        short_of_the_horizon(within_the_surface(across) * per_length, cosine),
+        short_of_the_horizon(within_the_surface(down) * per_length, cosine),
+    );
     return Shaded(read_cube(candidate, toward_x), provenance_of(select(HIT, FILLED, within == 4u), candidate));
 }
 

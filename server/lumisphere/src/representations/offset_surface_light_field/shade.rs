@@ -131,9 +131,24 @@ pub(super) fn reconstruct(
     let Some((j, answer)) = chosen.or_else(nearest) else { return Ok(NOTHING) };
     let p = position(j);
     let per_length = 1.0 / (p - x).length();
-    let [across, down] = by.map(|by| by.position * per_length);
-    let radiance = cubes.read_cube(u32::from(j), &DirectionDifferential { direction: -toward(x, p, n), across, down })?;
+    let up = toward(x, p, n);
+    let [across, down] = [0, 1].map(|k| short_of_the_horizon(within_the_surface(&by[k]) * per_length, n.dot(up)));
+    let radiance = cubes.read_cube(u32::from(j), &DirectionDifferential { direction: -up, across, down })?;
     Ok(Shaded { radiance, provenance: Provenance::new(answer, u32::from(j)) })
+}
+
+// The derivative of the surface's point, no longer than the surface is like its tangent plane: beyond it, p sees past the object.
+fn within_the_surface(by: &Sight) -> Vec3 {
+    by.position * (MOST_TURN / by.normal.length().max(MOST_TURN))
+}
+
+/// Radians by which a surface may turn within a pixel and still be taken for its tangent plane.
+const MOST_TURN: f32 = 0.15;
+
+// A derivative of the direction from p to x, no longer than half the way to the horizon, where p sees past the object, too.
+fn short_of_the_horizon(derivative: Vec3, cosine: f32) -> Vec3 {
+    let most = 0.5 * cosine.max(0.0);
+    derivative * (most / derivative.length().max(most))
 }
 
 const NOTHING: Shaded = Shaded { radiance: Vec3::ZERO, provenance: Provenance::UNKNOWN };
