@@ -53,7 +53,7 @@ const FILLED: u32 = 2u;
 const UNKNOWN_ANSWER: u32 = 3u;
 // cos 65°
 const COS_HORIZON: f32 = 0.42261826;
-const FOOTPRINT_WIDTH: f32 = 0.5;
+const FOOTPRINT_WIDTH: f32 = 0.75;
 const MOST_TURN: f32 = 0.15;
 
 // A surface point, its normal and the direction to it; or their derivatives by the pixel.

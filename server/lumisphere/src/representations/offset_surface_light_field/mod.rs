@@ -51,7 +51,7 @@ pub const CONSTRUCTION_HORIZON_DEG: f32 = 85.0;
 /// The same when a frame is rendered; smaller, because grazing reads bleed.
 pub const RUNTIME_HORIZON_DEG: f32 = 65.0;
 /// Texels of a level are so many pixels wide where it is read alone: a bilinear read already takes the mean over a texel's width and more.
-const FOOTPRINT_WIDTH: f32 = 0.5;
+const FOOTPRINT_WIDTH: f32 = 0.75;
 /// Marks "no such sample point" in a sample map.
 pub const NO_SAMPLE: u16 = u16::MAX;
 
