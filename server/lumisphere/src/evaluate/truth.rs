@@ -142,9 +142,8 @@ mod tests {
 
     #[test]
     fn only_pixels_with_eight_neighbours_on_the_same_fold_count() {
-        let count = |object: &[bool], joined: &dyn Fn(usize, usize) -> bool| {
-            inside_silhouettes(object, 5, joined).iter().filter(|m| **m).count()
-        };
+        let count =
+            |object: &[bool], joined: &dyn Fn(usize, usize) -> bool| inside_silhouettes(object, 5, joined).iter().filter(|m| **m).count();
         let full = vec![true; 25];
         assert_eq!(count(&full, &|_, _| true), 9);
         let mut holed = full.clone();
