@@ -26,8 +26,8 @@ pub struct PyramidLevel {
 const MOST_TEXELS: f32 = 65536.0;
 /// Squared; no image of a pixel spans so many halves of a face.
 const MOST_UNITS: f32 = 65536.0;
-/// Longer images than this many times their width are read wider than they are.
-const MOST_TAPS: f32 = 8.0;
+/// Longer images than this many times their width are read wider than they are. (With eight the errors on the gazebo's teapot are the same.)
+const MOST_TAPS: f32 = 4.0;
 
 impl DirectionDifferential {
     /// A look at nothing but one direction.
@@ -74,7 +74,7 @@ impl DirectionDifferential {
 /// Reads that together cover a pixel, evenly spaced about the direction of its centre.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Taps {
-    /// 1 to 8.
+    /// 1 to 4.
     pub count: u32,
     /// From one tap's direction to the next.
     pub step: Vec3,
@@ -117,9 +117,9 @@ mod tests {
                 let (s, t) = d.any_orthonormal_pair();
                 let step = |by: Vec3| (at(d + 0.01 * by) - at(d - 0.01 * by)) / 0.02;
                 // Long down, short across.
-                let taps = seen(0.02 * s, 0.08 * t).taps(128);
+                let taps = seen(0.03 * s, 0.08 * t).taps(128);
                 let long = step(0.08 * t).length();
-                let short = step(0.02 * s).perp_dot(step(0.08 * t)).abs() / long;
+                let short = step(0.03 * s).perp_dot(step(0.08 * t)).abs() / long;
                 assert_eq!(taps.count, (long / short).round() as u32, "{face} {column} {row}");
                 assert!((taps.texels * taps.count as f32 - long).abs() < 2e-3 * long);
                 assert!((taps.direction(d, 0) + taps.direction(d, taps.count - 1) - 2.0 * d).length() < 1e-6);
@@ -128,7 +128,7 @@ mod tests {
                 assert_eq!(seen(0.001 * s, 0.001 * t).taps(128).count, 1);
                 assert!(seen(0.03 * s, 0.03 * t).taps(128).count <= 2, "no face is stretched by more");
                 // Without any width there is an end to it.
-                assert_eq!(seen(Vec3::ZERO, 0.2 * t).taps(128).count, 8);
+                assert_eq!(seen(Vec3::ZERO, 0.2 * t).taps(128).count, 4);
             }
         }
     }

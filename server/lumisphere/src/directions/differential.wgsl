@@ -13,7 +13,7 @@ struct PyramidLevel {
 
 const MOST_TEXELS: f32 = 65536.0;
 const MOST_UNITS: f32 = 65536.0;
-const MOST_TAPS: f32 = 8.0;
+const MOST_TAPS: f32 = 4.0;
 
 fn moved(by: vec3<f32>, d: vec3<f32>, along: vec3<f32>, a: f32) -> vec3<f32> {
     return (by - d * (dot(by, along) / a)) / a;
