@@ -1,8 +1,8 @@
 //! A 640 × 480 frame of the captured teapot in the gazebo, on the GPU (lavapipe where there is no other) and on the CPU, in milliseconds:
 //! wall clock, the whole process's CPU time a frame (what counts where others use the machine, too), and the GPU's stages.
 //!
-//! `cargo bench -p lumisphere --bench render_frame [-- FACE_SIZE [POINTS]] [gpu | cpu | paging]`, by default 128 texels, 300 points and both
-//! backends; `paging` measures uploads under a cap instead. The capture (one path a texel: noise costs no time) is kept in `target/render_frame` for the next run.
+//! `cargo bench -p lumisphere --bench render_frame [-- FACE_SIZE [POINTS]] [gpu | cpu | paging] [bilinear]`, by default 128 texels, 300 points and both
+//! backends; `paging` measures uploads under a cap instead, `bilinear` reads without filtering. The capture (one path a texel: noise costs no time) is kept in `target/render_frame` for the next run.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -77,7 +77,7 @@ fn main() {
 // What it takes to have the coarse level, and a revolution under a cap of uploads a frame: which share of its frames is not final.
 fn report_paging(field: &Arc<dyn Representation>, version: &Arc<DatasetVersion>, faces: u32, center: Vec3, radius: f32) {
     let fresh = || CachedPages { cache: Arc::new(Cache::new(CacheOptions::decoded(4 << 30))), version: version.clone() };
-    for (what, numbers) in [("coarse pages", faces..version.page_count()), ("all faces", 0..faces)] {
+    for (what, numbers) in [("coarser levels", faces..version.page_count()), ("all faces", 0..faces)] {
         let (pages, begin, count) = (fresh(), Instant::now(), numbers.len());
         let before = cpu_millis();
         for number in numbers {
@@ -187,7 +187,7 @@ fn captured(face_size: u32, points: u32) -> Arc<DatasetVersion> {
     let root = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../target/render_frame");
     std::fs::create_dir_all(&root).expect("a folder under target");
     let (store, _) = Store::open(&root, StoreOptions::local()).expect("a store");
-    let dataset = format!("teapot-coarse-{face_size}-{points}");
+    let dataset = format!("teapot-levels-{face_size}-{points}");
     if let Ok(version) = store.open_version(&dataset, None) {
         return version;
     }
