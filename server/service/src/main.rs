@@ -30,7 +30,7 @@ use crate::catalog::{Catalog, UploadLimits};
 use crate::config::{BackendChoice, Config, Effective};
 use crate::frames::Frames;
 use crate::jobs::{JobLimits, Jobs};
-use crate::render_queue::RenderQueue;
+use crate::render_queue::{RenderQueue, RenderThreadEnded};
 use crate::sessions::Sessions;
 use crate::shutdown::{Drained, until_drained};
 use crate::telemetry::{Metrics, start_logging};
@@ -41,6 +41,8 @@ const FAILURE: u8 = 1;
 const USAGE: u8 = 2;
 /// Threads of the runtime that are busy with a blocking call when the process ends get no longer.
 const LAST_PATIENCE: Duration = Duration::from_millis(200);
+/// For the frame that is being drawn then, and for giving the device back.
+const LAST_FRAME_PATIENCE: Duration = Duration::from_secs(5);
 
 fn main() -> ExitCode {
     let (effective, print) = match Effective::from_process() {
@@ -72,7 +74,8 @@ fn run(effective: Effective) -> anyhow::Result<()> {
     }
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().context("cannot start the runtime")?;
     let grace = effective.config.shutdown_grace;
-    let app = Arc::new(assemble(effective, runtime.handle())?);
+    let (app, render_thread) = assemble(effective, runtime.handle())?;
+    let app = Arc::new(app);
     let served = runtime.block_on(async {
         let serving = async {
             let served = serve::serve(app.clone(), grace).await;
@@ -83,6 +86,8 @@ fn run(effective: Effective) -> anyhow::Result<()> {
         tokio::join!(serving, stop_jobs(&app, grace)).0
     });
     runtime.shutdown_timeout(LAST_PATIENCE);
+    drop(app);
+    render_thread.wait(LAST_FRAME_PATIENCE);
     served
 }
 
@@ -97,13 +102,14 @@ async fn stop_jobs(app: &App, grace: Duration) {
     }
 }
 
-fn assemble(effective: Effective, runtime: &tokio::runtime::Handle) -> anyhow::Result<App> {
+fn assemble(effective: Effective, runtime: &tokio::runtime::Handle) -> anyhow::Result<(App, RenderThreadEnded)> {
     let Effective { config, entries } = effective;
     let metrics = Arc::new(Metrics::new());
     let uploads = UploadLimits { blob_bytes: config.max_blob_bytes, unfinished_bytes: config.max_unfinished_upload_bytes };
     let catalog = Catalog::open(&config.data_dir, config.cache, uploads).context("cannot open the data folder")?;
     let catalog = Arc::new(catalog);
     let (queue, adapter) = start_rendering(&config)?;
+    let render_thread = queue.ended();
     let frames = Frames::new(queue, metrics.clone());
     let limits = SpecLimits { max_pixels: config.max_pixels_per_frame, max_cameras: config.max_cameras_per_job };
     let work = Work { catalog: catalog.clone(), frames: frames.clone(), runtime: runtime.clone(), limits };
@@ -114,7 +120,7 @@ fn assemble(effective: Effective, runtime: &tokio::runtime::Handle) -> anyhow::R
         threads: config.job_threads,
     };
     let jobs = Jobs::start(&config.data_dir.join("jobs"), job_limits, work).context("cannot read the job records")?;
-    Ok(App {
+    let app = App {
         catalog,
         frames,
         jobs: Arc::new(jobs),
@@ -127,7 +133,8 @@ fn assemble(effective: Effective, runtime: &tokio::runtime::Handle) -> anyhow::R
         frame_ids: AtomicU64::new(0),
         config,
         entries,
-    })
+    };
+    Ok((app, render_thread))
 }
 
 /// The render thread, and the adapter it found.

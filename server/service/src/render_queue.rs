@@ -56,6 +56,8 @@ pub struct RenderQueue<R> {
     slots: Arc<Semaphore>,
     viewers: Sender<Work<R>>,
     jobs: Sender<Work<R>>,
+    // Closed when the thread has ended.
+    ended: Receiver<()>,
 }
 
 impl<R> Clone for RenderQueue<R> {
@@ -66,7 +68,19 @@ impl<R> Clone for RenderQueue<R> {
             slots: self.slots.clone(),
             viewers: self.viewers.clone(),
             jobs: self.jobs.clone(),
+            ended: self.ended.clone(),
         }
+    }
+}
+
+/// See [`RenderQueue::ended`].
+pub struct RenderThreadEnded(Receiver<()>);
+
+impl RenderThreadEnded {
+    /// Waits no longer than `patience`. A process that ends while the thread gives its device back can crash in the driver.
+    pub fn wait(&self, patience: Duration) {
+        // Nothing is ever sent: the answer is that nobody can any more.
+        let _ = self.0.recv_timeout(patience);
     }
 }
 
@@ -91,18 +105,28 @@ impl<R: 'static> RenderQueue<R> {
         let (viewers, viewer_work) = bounded::<Work<R>>(SLOTS);
         let (jobs, job_work) = bounded::<Work<R>>(SLOTS);
         let (ready, made) = bounded(1);
+        let (alive, ended) = bounded(0);
         thread::Builder::new()
             .name("render".into())
-            .spawn(move || match make() {
-                Ok(renderer) => {
-                    let _ = ready.send(Ok(()));
-                    render_until_closed(renderer, make, viewer_work, job_work);
+            .spawn(move || {
+                match make() {
+                    Ok(renderer) => {
+                        let _ = ready.send(Ok(()));
+                        render_until_closed(renderer, make, viewer_work, job_work);
+                    }
+                    Err(error) => drop(ready.send(Err(error))),
                 }
-                Err(error) => drop(ready.send(Err(error))),
+                // The renderer is gone by now.
+                drop(alive);
             })
             .expect("a thread can be started while the server starts");
         made.recv().expect("the render thread answers before it ends")?;
-        Ok(Self { admission: Arc::new(Semaphore::new(length)), length, slots: Arc::new(Semaphore::new(SLOTS)), viewers, jobs })
+        Ok(Self { admission: Arc::new(Semaphore::new(length)), length, slots: Arc::new(Semaphore::new(SLOTS)), viewers, jobs, ended })
+    }
+
+    /// To wait for the thread's end, which comes when every queue to it is dropped and its last work done.
+    pub fn ended(&self) -> RenderThreadEnded {
+        RenderThreadEnded(self.ended.clone())
     }
 
     /// Runs `work` on the render thread. Dropping the future before it starts drops the work.
