@@ -168,7 +168,9 @@ impl Catalog {
         })?;
         let representation: Arc<dyn Representation> = match kind {
             Kind::OffsetSurfaceLightField => {
-                let parameters = serde_json::from_value(manifest.parameters.clone()).map_err(|e| unreadable(e.to_string()))?;
+                let parameters = serde_json::from_value(manifest.parameters.clone());
+                let parameters =
+                    parameters.map_err(|e| unreadable(format!("another version of this program made it ({e}); capture it anew")))?;
                 Arc::new(oslf::from_parts(parameters, &|name| stored.blob(name).map_err(PartError::Store)).map_err(|e| match e {
                     PartError::Store(error) => ApiError::from(error),
                     PartError::Malformed(error) => unreadable(error.to_string()),

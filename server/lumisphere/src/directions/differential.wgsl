@@ -47,7 +47,8 @@ fn taps_over(toward: DirectionDifferential, size: u32) -> Taps {
     let shorter = max(length(cross(across, down)) / longer * (0.5 * f32(size)), 1.0);
     let count = min(floor(texels / shorter + 0.5), MOST_TAPS);
     let step = select(toward.down, toward.across, wide > high) / count;
-    return Taps(u32(count), step, texels / count);
+    // Compilers may assume that there is no NaN; a loop over it must end all the same.
+    return Taps(clamp(u32(count), 1u, u32(MOST_TAPS)), step, texels / count);
 }
 
 fn tap_direction(taps: Taps, center: vec3<f32>, tap: u32) -> vec3<f32> {

@@ -66,8 +66,8 @@ impl TruthRenderer {
         Ok(Self { tracer: Tracer::new(scene)?, object })
     }
 
-    /// The truths in `wanted`, and the diffuse one, seen from `camera`. Around the object, where nothing is compared, with a 16th of the
-    /// paths.
+    /// The truths in `wanted`, and the diffuse one, seen from `camera`. Around the object, which enters only the windows of FLIP and SSIM at
+    /// its silhouette, with a 16th of the paths.
     pub fn view(&self, camera: &Camera, wanted: &[Truth], trace: &TraceSettings, progress: &dyn Progress) -> Result<ViewTruth, Cancelled> {
         let around = TraceSettings { samples_per_pixel: trace.samples_per_pixel.div_ceil(PATHS_PER_PATH_AROUND), ..*trace };
         let all = self.with(Truth::Diffuse).render(camera, &around, progress)?;

@@ -214,7 +214,7 @@ pub struct Pixels {
     pub depth: Option<Vec<f32>>,
     /// Where each colour comes from.
     pub provenance: Option<Vec<Provenance>>,
-    /// Distinct pages that the frame read.
+    /// Distinct pages that the frame read; on the GPU those of full size, since coarser levels come with them or are always there.
     pub pages_needed: usize,
     /// Whether every read was at full resolution; see [`Refine`].
     pub is_final: bool,

@@ -12,7 +12,8 @@ use crate::representations::RenderError;
 use crate::representations::page_source::CountingSource;
 use crate::textures::{Page, PageId, PageShape, PixelFormat};
 
-/// The coarse levels take at most this part of the budget: the first is as coarse as that asks for.
+/// The coarse levels take at most this part of the budget: the first is as coarse as that asks for. (Slots of large faces are large: below
+/// sixteen of them there are none.)
 const BUDGET_SHARE: u64 = 16;
 /// The finest faces that are always resident: 1/64 of faces of 128², and they show where light comes from.
 const MOST_TEXELS: u32 = 16;
@@ -34,7 +35,9 @@ impl Coarse {
         let slot_bytes = 4 * pixel.bytes() as u64 * u64::from(field.parameters.face_size_texels).pow(2) * 4 / 3;
         let plan = |level| Self { level, slots: field.face_count().div_ceil(1 << (2 * level)) };
         let fits = |plan: &Self| plan.slots as u64 * slot_bytes <= budget_bytes / BUDGET_SHARE;
-        let small = levels.filter(|level| field.level_size(*level) <= MOST_TEXELS);
+        // The coarsest of all, at least, where sizes cannot be halved so far.
+        let coarsest = field.parameters.coarser_levels;
+        let small = levels.filter(|level| field.level_size(*level) <= MOST_TEXELS || *level == coarsest);
         small.map(plan).find(fits).unwrap_or(Self { level: field.parameters.coarser_levels + 1, slots: 0 })
     }
 

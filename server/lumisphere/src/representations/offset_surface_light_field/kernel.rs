@@ -42,8 +42,8 @@ pub(crate) struct ShadingUniform {
     pub face_count: u32,
     pub first_pixel: u32,
     pub end_pixel: u32,
-    pub padding: u32,
-    pub more_padding: [u32; 2],
+    pub pixel_scale: f32,
+    pub padding: [u32; 2],
 }
 
 // A band has at most this many pixels: 32 MiB on the device with everything that grows with it.

@@ -17,8 +17,9 @@ struct Shading {
     // Of the band, row by row; the others are left as they are.
     first_pixel: u32,
     end_pixel: u32,
-    padding: u32,
-    more_padding: vec2<u32>,
+    // Pixels of the frame along an edge of one of this pass's: derivatives are divided by it.
+    pixel_scale: f32,
+    padding: vec2<u32>,
 }
 
 @group(1) @binding(0) var<storage, read> object_triangles: array<u32>;
@@ -196,7 +197,8 @@ fn within_the_surface(by: Sight) -> vec3<f32> {
 
 fn short_of_the_horizon(derivative: vec3<f32>, cosine: f32) -> vec3<f32> {
     let most = 0.5 * max(cosine, 0.0);
-    return derivative * (most / max(length(derivative), most));
+    let length = length(derivative);
+    return select(derivative, derivative * (most / length), length > most);
 }
 
 fn reconstruct(at: Sight, across: Sight, down: Sight, candidates: vec4<u32>) -> Shaded {
@@ -216,7 +218,8 @@ fn reconstruct(at: Sight, across: Sight, down: Sight, candidates: vec4<u32>) -> 
     }
     let candidate = element(candidates, select(within, nearest, within == 4u));
     let p = sample_points[candidate].xyz;
-    let per_length = 1.0 / length(p - x);
+    let distance = length(p - x);
+    let per_length = select(0.0, 1.0 / distance, distance > 0.0);
     let up = toward(x, p, n);
     let cosine = dot(n, up);
     let toward_x = DirectionDifferential(
@@ -373,11 +376,16 @@ fn worse(own: u32, reflected: u32) -> u32 {
     return select(own, reflected, (reflected >> 30u) > (own >> 30u));
 }
 
+fn scaled(surface: SurfaceDifferential, direction: vec3<f32>) -> Sight {
+    let scale = 1.0 / shading.pixel_scale;
+    return Sight(surface.position * scale, surface.normal * scale, direction * scale);
+}
+
 fn shade_object(direction: vec3<f32>, point: ObjectPoint) -> Shaded {
     let at = Sight(camera.position + point.distance * direction, point.normal, direction);
     let by = ray_derivatives(camera, direction);
-    let across = Sight(point.across.position, point.across.normal, by.across);
-    let down = Sight(point.down.position, point.down.normal, by.down);
+    let across = scaled(point.across, by.across);
+    let down = scaled(point.down, by.down);
     let candidates = candidates_at(point.part, point.uv);
     var shaded: Shaded;
     if COMPONENT == RECONSTRUCTION {

@@ -185,7 +185,8 @@ pub enum Filter {
     /// The four texels around the direction through the pixel's centre, as the paper does: where a pixel covers many texels it shows their
     /// noise.
     Bilinear,
-    /// The mean over what the pixel covers: eight texels of the two levels whose texels are about as large.
+    /// The mean over what the pixel covers: up to four reads side by side, each of eight texels of the two levels whose texels are about as
+    /// large as its part of the pixel.
     #[default]
     Footprint,
 }

@@ -23,6 +23,10 @@ pub(super) trait ReadCube {
 
     /// Over what one pixel sees: side by side where that is long, each between two levels.
     fn read_cube(&mut self, cube: u32, toward: &DirectionDifferential) -> Result<Vec3, RenderError> {
+        // A single direction is read as it is stored.
+        if toward.across == Vec3::ZERO && toward.down == Vec3::ZERO {
+            return self.read_level(cube, toward.direction, 0);
+        }
         let (taps, PyramidLevel { fine, fraction }) = self.field().reads_over(toward);
         let mut radiance = Vec3::ZERO;
         for tap in 0..taps.count {
@@ -130,7 +134,8 @@ pub(super) fn reconstruct(
     let nearest = || candidates.iter().find(|j| **j != NO_SAMPLE).map(|j| (*j, Answer::Filled));
     let Some((j, answer)) = chosen.or_else(nearest) else { return Ok(NOTHING) };
     let p = position(j);
-    let per_length = 1.0 / (p - x).length();
+    let distance = (p - x).length();
+    let per_length = if distance > 0.0 { 1.0 / distance } else { 0.0 };
     let up = toward(x, p, n);
     let [across, down] = [0, 1].map(|k| short_of_the_horizon(within_the_surface(&by[k]) * per_length, n.dot(up)));
     let radiance = cubes.read_cube(u32::from(j), &DirectionDifferential { direction: -up, across, down })?;
@@ -145,10 +150,10 @@ fn within_the_surface(by: &Sight) -> Vec3 {
 /// Radians by which a surface may turn within a pixel and still be taken for its tangent plane.
 const MOST_TURN: f32 = 0.15;
 
-// A derivative of the direction from p to x, no longer than half the way to the horizon, where p sees past the object, too.
-fn short_of_the_horizon(derivative: Vec3, cosine: f32) -> Vec3 {
-    let most = 0.5 * cosine.max(0.0);
-    derivative * (most / derivative.length().max(most))
+/// A derivative of the direction from p to x, no longer than half the way to the horizon, where p sees past the object, too.
+pub(super) fn short_of_the_horizon(derivative: Vec3, cosine: f32) -> Vec3 {
+    let (most, length) = (0.5 * cosine.max(0.0), derivative.length());
+    if length > most { derivative * (most / length) } else { derivative }
 }
 
 const NOTHING: Shaded = Shaded { radiance: Vec3::ZERO, provenance: Provenance::UNKNOWN };

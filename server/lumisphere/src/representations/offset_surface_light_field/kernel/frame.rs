@@ -231,8 +231,8 @@ impl Kernel {
             face_count: self.field.face_count() as u32,
             first_pixel: pixels.start,
             end_pixel: pixels.end,
-            padding: 0,
-            more_padding: [0; 2],
+            pixel_scale: if band == GLANCE_BAND { GLANCE_SCALE as f32 } else { 1.0 },
+            padding: [0; 2],
         };
         self.gpu.queue().write_buffer(&self.shading, 0, bytemuck::bytes_of(&uniform));
         let (band, atlas) = (self.bands[band].as_ref().expect("made before"), self.atlas.as_ref().expect("made before"));

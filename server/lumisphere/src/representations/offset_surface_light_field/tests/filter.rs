@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use glam::Vec3;
 
+use super::super::shade::short_of_the_horizon;
 use super::fixture::{MemoryPages, WORLD, World};
 use super::{frame_of, mirror, reconstruction};
 use crate::capture::{coarser_levels, halved, stacked};
@@ -78,6 +79,16 @@ fn a_filtered_read_is_the_mean_over_the_pixel_and_an_unfiltered_one_is_not() {
         println!("{:?} {:?}: {filtered:.4} filtered, {unfiltered:.4} not", settings.component, settings.blend);
         assert!(count > 100, "{count} pixels");
         assert!(filtered < 0.5 * unfiltered, "{settings:?}: {filtered} filtered, {unfiltered} not");
+    }
+}
+
+#[test]
+fn footprints_end_half_way_to_the_horizon_and_none_is_none_below_it() {
+    let wide = Vec3::new(0.3, -0.4, 0.0);
+    assert!((short_of_the_horizon(wide, 0.8) - 0.8 * wide).length() < 1e-6);
+    assert_eq!((short_of_the_horizon(0.1 * wide, 0.8), short_of_the_horizon(wide, 0.0)), (0.1 * wide, Vec3::ZERO));
+    for cosine in [0.0, -0.3, 0.5] {
+        assert_eq!(short_of_the_horizon(Vec3::ZERO, cosine), Vec3::ZERO);
     }
 }
 

@@ -300,8 +300,8 @@ fn the_uniform_lies_in_memory_as_wgsl_has_it() {
             face_count,
             first_pixel,
             end_pixel,
-            padding,
-            more_padding
+            pixel_scale,
+            padding
         }
     );
 }

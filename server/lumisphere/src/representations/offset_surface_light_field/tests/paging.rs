@@ -31,12 +31,13 @@ struct Scene {
     kernel: Kernel,
     field: Arc<OffsetSurfaceLightField>,
     pages: Box<dyn PageSource>,
+    filter: Filter,
 }
 
 impl Scene {
     fn new(field: OffsetSurfaceLightField, pages: Box<dyn PageSource>) -> Option<Self> {
         let field = Arc::new(field);
-        Some(Self { kernel: Kernel::new(test_gpu()?, field.clone(), BUDGET).unwrap(), field, pages })
+        Some(Self { kernel: Kernel::new(test_gpu()?, field.clone(), BUDGET).unwrap(), field, pages, filter: Filter::Bilinear })
     }
 
     fn in_memory(world: &World) -> Option<Self> {
@@ -44,8 +45,12 @@ impl Scene {
         Self::new(field, Box::new(pages))
     }
 
+    fn settings(&self) -> AnySettings {
+        AnySettings::OffsetSurfaceLightField(Settings { filter: self.filter, ..mirror(Blend::Distance) })
+    }
+
     fn draw(&mut self, camera: &Camera, refine: Refine) -> Result<(Pixels, GpuFrameStats), RenderError> {
-        let settings = AnySettings::OffsetSurfaceLightField(mirror(Blend::Distance));
+        let settings = self.settings();
         let request = FrameRequest { camera, settings: &settings, outputs: EVERYTHING, refine };
         let drawn = self.kernel.render(&request, &CountingSource::new(self.pages.as_ref()))?;
         let stats = self.kernel.stats();
@@ -55,7 +60,7 @@ impl Scene {
     }
 
     fn look_ahead(&mut self, camera: &Camera, upload_bytes: u64) -> usize {
-        let settings = AnySettings::OffsetSurfaceLightField(mirror(Blend::Distance));
+        let settings = self.settings();
         let request = FrameRequest { camera, settings: &settings, outputs: EVERYTHING, refine: Refine::Whole };
         self.kernel.prefetch(&request, &CountingSource::new(self.pages.as_ref()), upload_bytes).unwrap()
     }
@@ -74,15 +79,20 @@ fn a_dataset_ten_times_the_slots_and_five_times_the_memory_looks_as_with_everyth
     let root = tempfile::tempdir().unwrap();
     let version = stored(root.path(), &pages);
     let Some(mut everything) = Scene::new(field.clone(), Box::new(pages)) else { return };
+    everything.filter = Filter::Footprint;
     let expected: Vec<Pixels> = cameras.iter().map(|c| everything.draw(c, Refine::Whole).unwrap().0).collect();
     for policy in PolicyKind::ALL {
         let cache = Arc::new(Cache::new(CacheOptions::decoded(faces * PAGE_BYTES / 5)));
         let pages = CachedPages { cache: cache.clone(), version: version.clone() };
         let mut paged = Scene::new(field.clone(), Box::new(pages)).unwrap();
+        paged.filter = Filter::Footprint;
         paged.kernel.set_slots(faces / 10);
         paged.kernel.set_policy(policy);
         for (camera, expected) in cameras.iter().zip(&expected) {
-            assert_eq!(&paged.draw(camera, Refine::Whole).unwrap().0, expected, "{policy}");
+            let drawn = paged.draw(camera, Refine::Whole).unwrap().0;
+            // With less room fewer levels are always there, so more pages are needed for the same picture.
+            assert!(drawn.pages_needed >= expected.pages_needed);
+            assert!(drawn == Pixels { pages_needed: drawn.pages_needed, ..expected.clone() }, "{policy}: another picture");
         }
         let stats = paged.kernel.stats();
         assert!(stats.evictions > faces / 10 && stats.resident_pages <= faces / 10, "{policy}: {stats:?}");
@@ -178,7 +188,7 @@ fn frames_that_cannot_be_refined_are_drawn_whole() {
     for _ in 0..3 {
         assert_eq!(scene.draw(camera, cap).unwrap().0, whole);
     }
-    // No coarse level: a dataset from before there was one.
+    // No coarse level: faces that cannot be halved.
     let (mut field, mut pages) = WORLD.build();
     pages.0.truncate(field.face_count());
     field.parameters.coarser_levels = 0;
@@ -193,6 +203,7 @@ fn pages_brought_ahead_are_there_when_the_frame_comes_and_displace_nothing_that_
     let at = |k: f32| WORLD.camera(3.0 * Vec3::new((0.3 * k).cos(), 0.2, (0.3 * k).sin()), Vec3::ZERO, 480, 360);
     let cameras = [at(0.0), at(1.0), at(2.0)];
     let Some(mut scene) = Scene::in_memory(&WORLD) else { return };
+    scene.filter = Filter::Footprint;
     scene.draw(&cameras[0], Refine::Whole).unwrap();
     let before = scene.kernel.stats();
     let ahead = scene.look_ahead(&cameras[1], 1000 * PAGE_BYTES) as u64;
