@@ -74,7 +74,7 @@ fn main() {
     }
 }
 
-// What it takes to have the coarse level, and a revolution under a cap of uploads a frame: which share of its frames is not final.
+// What it takes to have the coarser levels, and a revolution under a cap of uploads a frame: which share of its frames is not final.
 fn report_paging(field: &Arc<dyn Representation>, version: &Arc<DatasetVersion>, faces: u32, center: Vec3, radius: f32) {
     let fresh = || CachedPages { cache: Arc::new(Cache::new(CacheOptions::decoded(4 << 30))), version: version.clone() };
     for (what, numbers) in [("coarser levels", faces..version.page_count()), ("all faces", 0..faces)] {

@@ -6,6 +6,7 @@ pub(crate) mod fixture;
 mod gpu_equals_cpu;
 #[cfg(feature = "gpu")]
 mod paging;
+mod recording;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

@@ -98,17 +98,22 @@ fn blocks_that_lie_under_a_right_checksum_are_refused_or_give_some_texels_and_ne
     }
 }
 
+// A dataset of one page.
+fn one_page(root: &Path, codec: Codec) -> (EncodedPage, Arc<DatasetVersion>) {
+    let (store, _) = open(root);
+    store.create_dataset("d").unwrap();
+    let staging = store.stage("d", "first").unwrap();
+    let encoded = encode_as(codec, &small(), &texels(&small(), 0)).unwrap();
+    staging.append_encoded(PageId(0), &encoded).unwrap();
+    (encoded, staging.publish(publication()).unwrap())
+}
+
 /// Of blocks that are unpacked alone only the damaged one is lost.
 #[test]
 fn a_flipped_byte_costs_its_block_under_every_codec_of_blocks() {
     for codec in Codec::ALL.into_iter().filter(|codec| !codec.is_sequential()) {
         let root = tempfile::tempdir().unwrap();
-        let (store, _) = open(root.path());
-        store.create_dataset("d").unwrap();
-        let staging = store.stage("d", "first").unwrap();
-        let encoded = encode_as(codec, &small(), &texels(&small(), 0)).unwrap();
-        staging.append_encoded(PageId(0), &encoded).unwrap();
-        let version = staging.publish(publication()).unwrap();
+        let (encoded, version) = one_page(root.path(), codec);
         assert_eq!(unreadable_blocks(&version, 1), [], "{codec}");
         // In the middle lie numbers: nothing but the checksum tells.
         let second = &encoded.blocks[1];
@@ -122,12 +127,7 @@ fn a_flipped_byte_costs_its_block_under_every_codec_of_blocks() {
 fn a_flipped_byte_in_a_sequential_page_costs_the_rows_from_there_on() {
     for codec in [Codec::ZstdSeq, Codec::LzwSeq] {
         let root = tempfile::tempdir().unwrap();
-        let (store, _) = open(root.path());
-        store.create_dataset("d").unwrap();
-        let staging = store.stage("d", "first").unwrap();
-        let encoded = encode_as(codec, &small(), &texels(&small(), 0)).unwrap();
-        staging.append_encoded(PageId(0), &encoded).unwrap();
-        let version = staging.publish(publication()).unwrap();
+        let (encoded, version) = one_page(root.path(), codec);
         assert_eq!(version.read_page(PageId(0)).unwrap().to_f32(), texels(&small(), 0));
         flip(&only_file(root.path(), "segments"), 40 + 3 * 16 + encoded.blocks[1].offset as usize + 5);
         assert_eq!(version.read_rows(PageId(0), 3..16).unwrap().to_f32(), written(3..16, 0));

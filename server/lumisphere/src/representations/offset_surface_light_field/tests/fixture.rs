@@ -1,6 +1,7 @@
 //! A light field that is known in closed form: a coloured sphere of radius 1 under a smooth environment at infinity, on a textured
 //! floor that only the background shows. Everything can be turned about the origin and scaled.
 
+use std::path::Path;
 use std::sync::Arc;
 
 use glam::{Quat, Vec2, Vec3};
@@ -14,7 +15,7 @@ use crate::representations::offset_surface_light_field::{
 };
 use crate::representations::{Fetched, PageSource, TexelReader, WholePages};
 use crate::scenes::{Albedo, Environment, EnvironmentMap, Texture};
-use crate::textures::{Page, PageId, PageShape, PixelFormat, StoreError};
+use crate::textures::{DatasetVersion, Page, PageId, PageShape, PixelFormat, Publication, Store, StoreError, StoreOptions};
 
 /// How the world is made and where it is put.
 #[derive(Debug, Clone, Copy)]
@@ -52,6 +53,24 @@ impl PageSource for MemoryPages {
     fn reader(&self) -> Box<dyn TexelReader + '_> {
         Box::new(WholePages::new(self))
     }
+}
+
+/// These pages as the only version of dataset "sphere" in a new store.
+pub fn stored(root: &Path, pages: &MemoryPages) -> Arc<DatasetVersion> {
+    let (store, _) = Store::open(root, StoreOptions::local()).unwrap();
+    store.create_dataset("sphere").unwrap();
+    let staging = store.stage("sphere", "test").unwrap();
+    for (number, page) in pages.0.iter().enumerate() {
+        staging.append_page(PageId(number as u32), &page.shape(), &page.to_f32()).unwrap();
+    }
+    let publication = Publication {
+        kind: "offset_surface_light_field".into(),
+        parameters: serde_json::Value::Null,
+        inputs: Default::default(),
+        code_version: "test".into(),
+        created_unix_millis: 0,
+    };
+    staging.publish(publication).unwrap()
 }
 
 /// From infinity, in the unturned world; smooth, between 0.1 and 1.6.

@@ -7,7 +7,7 @@ use glam::Vec3;
 use super::super::kernel::Kernel;
 use super::super::reference::Reference;
 use super::super::shade::ReadCube;
-use super::fixture::{MemoryPages, WORLD, World};
+use super::fixture::{WORLD, World, stored};
 use super::{EVERYTHING, mirror};
 use crate::directions::{Texel, bilinear_footprint};
 use crate::geometry::Camera;
@@ -19,7 +19,7 @@ use crate::representations::{
     CachedPages, CountingSource, FrameRequest, GpuFrameStats, GpuKernel, PageSource, Pixels, Refine, RenderError, Representation,
     Settings as AnySettings,
 };
-use crate::textures::{Cache, CacheOptions, PageId, PolicyKind, Publication, Store, StoreOptions};
+use crate::textures::{Cache, CacheOptions, PageId, PolicyKind};
 
 const BUDGET: u64 = 256 << 20;
 // With the three levels that a slot has: 32² and, for the coarse ones, 16² and 8².
@@ -99,28 +99,18 @@ fn a_dataset_ten_times_the_slots_and_five_times_the_memory_looks_as_with_everyth
     }
 }
 
-fn stored(root: &std::path::Path, pages: &MemoryPages) -> Arc<crate::textures::DatasetVersion> {
-    let (store, _) = Store::open(root, StoreOptions::local()).unwrap();
-    store.create_dataset("sphere").unwrap();
-    let staging = store.stage("sphere", "test").unwrap();
-    for (number, page) in pages.0.iter().enumerate() {
-        staging.append_page(PageId(number as u32), &page.shape(), &page.to_f32()).unwrap();
-    }
-    let publication = Publication {
-        kind: "offset_surface_light_field".into(),
-        parameters: serde_json::Value::Null,
-        inputs: Default::default(),
-        code_version: "test".into(),
-        created_unix_millis: 0,
-    };
-    staging.publish(publication).unwrap()
-}
-
 #[test]
 fn frames_under_a_cap_are_coarse_at_first_and_end_as_the_whole_frame() {
+    refines_to_the_whole_frame(Filter::Bilinear);
+    refines_to_the_whole_frame(Filter::Footprint);
+}
+
+fn refines_to_the_whole_frame(filter: Filter) {
     let Some(mut scene) = Scene::in_memory(&WORLD) else { return };
     let camera = &orbit(&WORLD, 8)[0];
-    let (whole, _) = Scene::in_memory(&WORLD).unwrap().draw(camera, Refine::Whole).unwrap();
+    let mut other = Scene::in_memory(&WORLD).unwrap();
+    (scene.filter, other.filter) = (filter, filter);
+    let (whole, _) = other.draw(camera, Refine::Whole).unwrap();
     let cap = Refine::UpTo { upload_bytes: 10 * PAGE_BYTES };
     let mut last_error = f32::INFINITY;
     for frame in 1.. {
