@@ -51,6 +51,9 @@ pub struct EvaluateFlags {
     /// Surface interactions of the truth's paths [default: as captured]
     #[arg(long, value_name = "N", default_value_t = 0, hide_default_value = true)]
     max_bounces: u32,
+    /// Frames of each setting at each view whose time counts, beside a first one [default: 4]
+    #[arg(long, value_name = "N", default_value_t = 0, hide_default_value = true)]
+    timed_frames_per_view: u32,
     /// Of the truth's random numbers
     #[arg(long, default_value_t = 0)]
     seed: u64,
@@ -98,6 +101,7 @@ impl EvaluateFlags {
             truths: self.truths.iter().map(truth).collect(),
             seed: self.seed,
             max_bounces: self.max_bounces,
+            timed_frames_per_view: self.timed_frames_per_view,
         })
     }
 
@@ -167,10 +171,29 @@ struct Row {
     delta_e_2000_p95: Option<f64>,
     #[serde(default)]
     millis_per_frame: Option<f64>,
+    #[serde(default)]
+    millis_per_frame_p95: Option<f64>,
 }
 
-const HEAD: [&str; 16] =
-    ["COMPONENT", "BLEND", "FILTER", "TRUTH", "R", "G", "B", "L*", "a*", "b*", "PSNR", "SSIM", "FLIP", "dE00", "dE00 p95", "ms/frame"];
+const HEAD: [&str; 17] = [
+    "COMPONENT",
+    "BLEND",
+    "FILTER",
+    "TRUTH",
+    "R",
+    "G",
+    "B",
+    "L*",
+    "a*",
+    "b*",
+    "PSNR",
+    "SSIM",
+    "FLIP",
+    "dE00",
+    "dE00 p95",
+    "ms/frame",
+    "ms p95",
+];
 
 /// The table of errors: RMSE in linear RGB and in L*a*b*, PSNR (dB), SSIM, FLIP, CIEDE2000.
 fn summary_text(summary: &Value) -> String {
@@ -202,6 +225,7 @@ impl Row {
             (self.delta_e_2000_mean, 3),
             (self.delta_e_2000_p95, 3),
             (self.millis_per_frame, 1),
+            (self.millis_per_frame_p95, 1),
         ];
         cells.extend(figures.map(|(value, digits)| number(value, digits)));
         cells

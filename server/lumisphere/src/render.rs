@@ -30,6 +30,16 @@ pub enum Backend {
     Cpu,
 }
 
+impl Backend {
+    /// In reports.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Gpu => "gpu",
+            Self::Cpu => "cpu",
+        }
+    }
+}
+
 /// A rendered frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Frame {
@@ -60,6 +70,8 @@ pub struct FrameStats {
     pub total_millis: f64,
     /// The GPU's part; None on the CPU.
     pub gpu: Option<GpuFrameStats>,
+    /// Held on the device for this dataset when the frame was done; None on the CPU.
+    pub device_bytes: Option<u64>,
 }
 
 // Of each dataset in use, least recently used first.
@@ -188,6 +200,7 @@ impl Renderer {
             prepare_millis,
             total_millis: millis_since(begin),
             gpu: None,
+            device_bytes: None,
         };
         Ok(frame(request, pixels, stats))
     }
@@ -221,6 +234,7 @@ impl Renderer {
         let prepare_millis = millis_since(begin);
         let pages = CountingSource::new(pages);
         let outcome = entry.1.render(request, &pages);
+        let device_bytes = entry.1.bytes();
         tier.put_back(entry);
         drop(tier);
         if outcome.is_err() {
@@ -235,6 +249,7 @@ impl Renderer {
             prepare_millis,
             total_millis: millis_since(begin),
             gpu: Some(gpu),
+            device_bytes: Some(device_bytes),
         };
         Ok(frame(request, pixels, stats))
     }

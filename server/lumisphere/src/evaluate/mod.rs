@@ -1,17 +1,23 @@
 //! How far rendered frames are from path-traced truth, at poses that the capture did not use.
 
+mod csv;
+pub mod pareto;
+mod row;
 mod truth;
 
-use serde::Serialize;
 use thiserror::Error;
 
 use crate::geometry::Camera;
-use crate::images::{CompareError, CompareOptions, Comparison, Image, absolute_error_image, compare};
+use crate::images::{CompareError, CompareOptions, Image, absolute_error_image, compare};
 use crate::progress::{Cancelled, Progress};
 use crate::raytrace::{TraceError, TraceSettings};
-use crate::representations::{SettingName, Settings};
+use crate::render::Backend;
+use crate::representations::Settings;
 use crate::scenes::Scene;
+use row::Total;
 
+pub use csv::csv;
+pub use row::{PictureNames, Row};
 pub use truth::{Truth, TruthRenderer, ViewTruth};
 
 /// What to measure.
@@ -27,23 +33,8 @@ pub struct Plan {
     pub mirror_truths: Vec<Truth>,
     /// Paths per pixel, bounces and seed of the truth.
     pub trace: TraceSettings,
-}
-
-/// One setting against one truth, over all views.
-#[derive(Debug, Clone, Serialize)]
-pub struct Row {
-    /// What was shown and how: component, blend, exponent.
-    #[serde(flatten)]
-    pub setting: SettingName,
-    /// What it was compared with.
-    pub truth: Truth,
-    /// How many views.
-    pub views: usize,
-    /// Over the object's pixels of all views; FLIP, SSIM, PSNR and percentiles are means of the views' own, weighted by pixels.
-    #[serde(flatten)]
-    pub error: Comparison,
-    /// Median time of a frame.
-    pub millis_per_frame: f64,
+    /// Frames of each setting at each camera whose time counts; at least 1.
+    pub timed_frames: u32,
 }
 
 /// A rendered frame, as far as the evaluation needs it.
@@ -53,6 +44,10 @@ pub struct Rendered {
     pub color: Image,
     /// Time inside the renderer.
     pub millis: f64,
+    /// What computed it.
+    pub backend: Backend,
+    /// Held on the device for the dataset; None on the CPU.
+    pub device_bytes: Option<u64>,
 }
 
 /// An image worth keeping.
@@ -84,119 +79,99 @@ pub enum EvaluateError<E: std::error::Error> {
     Other(E),
 }
 
-/// Renders every setting at every camera through `render`, compares with the truth, and hands pictures to `keep`.
+/// Renders every setting at every camera through `render`, which gets the setting's place in the plan, compares with the truth, and hands
+/// pictures to `keep`. Each setting's first frame at a camera, which compiles pipelines and brings pages, does not count as time.
 ///
 /// Only pixels count that show the object and whose eight neighbours show the same fold of it: at silhouettes, inner ones too, a box-filtered
 /// truth and a frame that sees one point a pixel differ by definition.
 pub fn evaluate<E: std::error::Error>(
     scene: &Scene,
     plan: &Plan,
-    render: &mut dyn FnMut(&Camera, &Settings) -> Result<Rendered, E>,
+    render: &mut dyn FnMut(&Camera, usize) -> Result<Rendered, E>,
     keep: &mut dyn FnMut(Picture<'_>) -> Result<(), E>,
     progress: &dyn Progress,
 ) -> Result<Vec<Row>, EvaluateError<E>> {
-    if plan.cameras.is_empty() || plan.settings.is_empty() {
-        return Err(EvaluateError::Plan("at least one camera and one setting expected".into()));
+    if plan.cameras.is_empty() || plan.settings.is_empty() || plan.timed_frames == 0 {
+        return Err(EvaluateError::Plan("at least one camera, one setting and one timed frame expected".into()));
     }
     let object = scene.object(&plan.object).ok_or_else(|| EvaluateError::Plan(format!("scene has no object {:?}", plan.object)))?;
     let truths = TruthRenderer::new(scene, object)?;
-    let pairs = pairs(plan);
-    let mut totals: Vec<Total> = pairs.iter().map(|_| Total::default()).collect();
-    let steps = (plan.cameras.len() * (pairs.len() + 1)) as u64;
+    let slugs = slugs(&plan.settings);
+    let mut totals: Vec<Total> = plan.settings.iter().map(|s| Total::new(truths_of(s, plan))).collect();
+    let steps = (plan.cameras.len() * (plan.settings.len() + 1)) as u64;
     let mut done = 0;
     for (v, camera) in plan.cameras.iter().enumerate() {
         progress.report("tracing the truth", done, steps);
-        let wanted: Vec<Truth> = pairs.iter().map(|(_, t)| *t).collect();
+        let wanted: Vec<Truth> = plan.settings.iter().flat_map(|s| truths_of(s, plan)).collect();
         let view = truths.view(camera, &wanted, &plan.trace, progress)?;
         if !view.mask.contains(&true) {
             return Err(EvaluateError::Plan(format!("camera {v} shows no pixel of object {:?} with all its neighbours", plan.object)));
         }
         done += 1;
-        let mut kept: Vec<String> = Vec::new();
-        for ((settings, truth), total) in pairs.iter().zip(&mut totals) {
+        let mut keep_new = keep_each_once(keep);
+        for (s, total) in totals.iter_mut().enumerate() {
             progress.report("rendering and comparing", done, steps);
-            if progress.is_cancelled() {
-                return Err(Cancelled.into());
-            }
-            let reference = view.reference(settings, *truth);
-            let rendered = render(camera, settings).map_err(EvaluateError::Other)?;
-            let comparison = compare(&reference, &rendered.color, Some(&view.mask), CompareOptions::STANDARD)?;
-            total.add(comparison, rendered.millis);
-            let error = absolute_error_image(&reference, &rendered.color)?;
-            let setting = settings.name();
-            let (component, truth) = (setting.component, truth.name());
-            for (name, image) in [
-                (format!("view-{v:02}-{component}-{truth}-truth"), &reference),
-                (format!("view-{v:02}-{}-frame", setting.slug()), &rendered.color),
-                (format!("view-{v:02}-{}-{truth}-error", setting.slug()), &error),
-            ] {
-                if !kept.contains(&name) {
-                    keep(Picture { name: name.clone(), image }).map_err(EvaluateError::Other)?;
-                    kept.push(name);
+            let frame = timed(plan.timed_frames, total, progress, &mut || render(camera, s))?;
+            let settings = &plan.settings[s];
+            for truth in truths_of(settings, plan) {
+                let reference = view.reference(settings, truth);
+                total.add(truth, compare(&reference, &frame, Some(&view.mask), CompareOptions::STANDARD)?);
+                let error = absolute_error_image(&reference, &frame)?;
+                let names = PictureNames::new(v, settings.name().component, &slugs[s], truth);
+                for (name, image) in [(names.truth, &reference), (names.frame, &frame), (names.error, &error)] {
+                    keep_new(name, image).map_err(EvaluateError::Other)?;
                 }
             }
             done += 1;
         }
     }
     progress.report("rendering and comparing", steps, steps);
-    Ok(pairs.iter().zip(totals).map(|((settings, truth), total)| total.row(settings.name(), *truth)).collect())
+    let rows = |((settings, slug), total): ((&Settings, &String), Total)| total.rows(settings.name(), slug);
+    Ok(plan.settings.iter().zip(&slugs).zip(totals).flat_map(rows).collect())
 }
 
-// Which setting is compared with which truth: what shows no reflection has one truth only.
-fn pairs(plan: &Plan) -> Vec<(Settings, Truth)> {
-    let mut pairs = Vec::new();
-    for settings in &plan.settings {
-        if settings.name().blend.is_none() {
-            pairs.push((*settings, Truth::Diffuse));
-        } else {
-            pairs.extend(plan.mirror_truths.iter().map(|t| (*settings, *t)));
+// What a setting is compared with: what shows no reflection has one truth only.
+fn truths_of(settings: &Settings, plan: &Plan) -> Vec<Truth> {
+    if settings.name().blend.is_none() { vec![Truth::Diffuse] } else { plan.mirror_truths.clone() }
+}
+
+// Names for files, unique among the settings: those that differ in nothing that is named (reflectance, backend) are numbered.
+fn slugs(settings: &[Settings]) -> Vec<String> {
+    let mut slugs: Vec<String> = Vec::new();
+    for setting in settings {
+        let slug = setting.name().slug();
+        let numbered = (2..).map(|n| format!("{slug}-{n}"));
+        let free = std::iter::once(slug.clone()).chain(numbered).find(|name| !slugs.contains(name));
+        slugs.extend(free);
+    }
+    slugs
+}
+
+// Several frames of one setting at one camera, their times added to `total`; returns the first frame's pixels, which does not count.
+fn timed<E: std::error::Error>(
+    count: u32,
+    total: &mut Total,
+    progress: &dyn Progress,
+    render: &mut dyn FnMut() -> Result<Rendered, E>,
+) -> Result<Image, EvaluateError<E>> {
+    let first = render().map_err(EvaluateError::Other)?;
+    for _ in 0..count {
+        if progress.is_cancelled() {
+            return Err(Cancelled.into());
         }
+        total.add_frame(&render().map_err(EvaluateError::Other)?);
     }
-    pairs
+    Ok(first.color)
 }
 
-// What was measured, view by view.
-#[derive(Default)]
-struct Total {
-    views: Vec<Comparison>,
-    millis: Vec<f64>,
-}
-
-impl Total {
-    fn add(&mut self, comparison: Comparison, millis: f64) {
-        self.views.push(comparison);
-        self.millis.push(millis);
-    }
-
-    fn row(mut self, setting: SettingName, truth: Truth) -> Row {
-        self.millis.sort_by(f64::total_cmp);
-        Row {
-            setting,
-            truth,
-            views: self.views.len(),
-            error: over_views(&self.views),
-            millis_per_frame: self.millis[self.millis.len() / 2],
+// Settings of one view share a truth, truths share a frame.
+fn keep_each_once<'a, E>(keep: &'a mut dyn FnMut(Picture<'_>) -> Result<(), E>) -> impl FnMut(String, &Image) -> Result<(), E> + 'a {
+    let mut kept: Vec<String> = Vec::new();
+    move |name, image| {
+        if kept.contains(&name) {
+            return Ok(());
         }
-    }
-}
-
-// One comparison for several, each weighted by its pixels. Root mean squares are exact; the others are means of the views' own.
-fn over_views(views: &[Comparison]) -> Comparison {
-    let pixels: usize = views.iter().map(|c| c.pixels).sum();
-    let mean = |value: &dyn Fn(&Comparison) -> f64| views.iter().map(|c| value(c) * c.pixels as f64).sum::<f64>() / pixels as f64;
-    let root_mean_square = |value: &dyn Fn(&Comparison) -> f64| mean(&|c| value(c).powi(2)).sqrt();
-    let optional_mean = |value: &dyn Fn(&Comparison) -> Option<f64>| {
-        views.iter().all(|c| value(c).is_some()).then(|| mean(&|c| value(c).unwrap_or_default()))
-    };
-    Comparison {
-        pixels,
-        rmse_rgb: [0, 1, 2].map(|k| root_mean_square(&|c| c.rmse_rgb[k])),
-        rmse_lab: [0, 1, 2].map(|k| root_mean_square(&|c| c.rmse_lab[k])),
-        max_abs_error: views.iter().map(|c| c.max_abs_error).fold(0.0, f64::max),
-        psnr_db: optional_mean(&|c| c.psnr_db),
-        ssim: optional_mean(&|c| c.ssim),
-        flip_mean: mean(&|c| c.flip_mean),
-        delta_e_2000_mean: mean(&|c| c.delta_e_2000_mean),
-        delta_e_2000_p95: mean(&|c| c.delta_e_2000_p95),
+        kept.push(name.clone());
+        keep(Picture { name, image })
     }
 }

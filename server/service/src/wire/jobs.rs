@@ -112,6 +112,8 @@ pub struct EvaluateSpec {
     pub seed: u64,
     /// Of the truth's paths; None: as captured.
     pub max_bounces: Option<u32>,
+    /// Frames of each setting at each view whose time counts.
+    pub timed_frames_per_view: u32,
 }
 
 /// Dataset version to frames.
@@ -283,6 +285,7 @@ fn evaluate(m: proto::EvaluateSpec, limits: &SpecLimits, field: &str) -> Result<
         truths,
         seed: m.seed,
         max_bounces: if m.max_bounces == 0 { None } else { Some(count(m.max_bounces, 0, 1, 64, &at("max_bounces"))?) },
+        timed_frames_per_view: count(m.timed_frames_per_view, 4, 1, 1000, &at("timed_frames_per_view"))?,
     })
 }
 

@@ -2,12 +2,11 @@
 
 use std::time::Instant;
 
-use lumisphere::evaluate::{self, Picture, Plan, Rendered as RenderedView, Row};
+use lumisphere::evaluate::{self, Picture, Plan, Rendered as RenderedView};
 use lumisphere::geometry::Camera;
 use lumisphere::images::{ExrStorage, ToneMap, encode_exr_rgb, encode_png, tone_mapped};
 use lumisphere::raytrace::TraceSettings;
 use lumisphere::render::Refine;
-use lumisphere::representations::Settings;
 
 use super::Work;
 use super::scene::load_scene;
@@ -50,18 +49,16 @@ impl Work {
                 max_bounces: spec.max_bounces.unwrap_or(captured.max_bounces),
                 seed: spec.seed,
             },
+            timed_frames: spec.timed_frames_per_view,
         };
         let mut blobs = Vec::new();
-        let mut render = |camera: &Camera, settings: &Settings| {
-            // The setting as submitted: it says on which backend too.
-            let settings = spec.settings.iter().find(|s| s.settings == *settings).copied();
-            let settings = settings.ok_or_else(|| ApiError::internal("an evaluation asked for a setting that was not submitted"))?;
+        let mut render = |camera: &Camera, setting: usize| {
             let output = Output { encoding: Encoding::RawZstd, depth: false, provenance: false };
-            let order =
-                FrameOrder { version: version.clone(), camera: *camera, settings, output, opening_micros: 0, refine: Refine::Whole };
+            let (version, settings, refine) = (version.clone(), spec.settings[setting], Refine::Whole);
+            let order = FrameOrder { version, camera: *camera, settings, output, opening_micros: 0, refine };
             let (rendered, _) = self.runtime.block_on(self.frames.render(order, Priority::Batch, None))?;
-            let frame = &rendered.value;
-            Ok(RenderedView { color: color_image(frame), millis: frame.stats.total_millis })
+            let (color, stats) = (color_image(&rendered.value), &rendered.value.stats);
+            Ok(RenderedView { color, millis: stats.total_millis, backend: stats.backend, device_bytes: stats.device_bytes })
         };
         let mut keep = |picture: Picture<'_>| self.keep_picture(picture, &mut blobs);
         let begun = Instant::now();
@@ -69,8 +66,11 @@ impl Work {
         let report = serde_json::json!({
             "dataset": version.dataset,
             "version": version.version,
+            "kind": manifest.kind,
             "parameters": manifest.parameters,
+            "dataset_bytes": manifest.stored_bytes(),
             "views": plan.cameras.len(),
+            "timed_frames_per_view": plan.timed_frames,
             "truth_samples_per_pixel": plan.trace.samples_per_pixel,
             "max_bounces": plan.trace.max_bounces,
             "seconds": begun.elapsed().as_secs_f64(),
@@ -78,7 +78,7 @@ impl Work {
         });
         let summary_json = report.to_string();
         blobs.push(self.keep("report.json".into(), "application/json", summary_json.as_bytes())?);
-        blobs.push(self.keep("report.csv".into(), "text/csv", csv(&rows)?.as_bytes())?);
+        blobs.push(self.keep("report.csv".into(), "text/csv", evaluate::csv(&rows).map_err(ApiError::internal)?.as_bytes())?);
         blobs.sort_by(|a, b| a.name.cmp(&b.name));
         Ok(Outcome { published: None, blobs, summary_json })
     }
@@ -99,47 +99,5 @@ fn truth(truth: Truth) -> evaluate::Truth {
     match truth {
         Truth::OneReflection => evaluate::Truth::OneReflection,
         Truth::PhysicalMirror => evaluate::Truth::PhysicalMirror,
-    }
-}
-
-/// The rows' members as columns, nested ones joined by a dot.
-fn csv(rows: &[Row]) -> Result<String, ApiError> {
-    let mut text = String::new();
-    for (i, row) in rows.iter().enumerate() {
-        let mut cells = Vec::new();
-        flatten("", &serde_json::to_value(row).map_err(ApiError::internal)?, &mut cells);
-        let line = |cells: Vec<&str>| cells.join(",") + "\n";
-        if i == 0 {
-            text += &line(cells.iter().map(|(name, _)| name.as_str()).collect());
-        }
-        text += &line(cells.iter().map(|(_, value)| value.as_str()).collect());
-    }
-    Ok(text)
-}
-
-fn flatten(name: &str, value: &serde_json::Value, cells: &mut Vec<(String, String)>) {
-    use serde_json::Value;
-    let below = |key: &str| if name.is_empty() { key.to_string() } else { format!("{name}.{key}") };
-    match value {
-        Value::Object(members) => members.iter().for_each(|(key, v)| flatten(&below(key), v, cells)),
-        Value::Array(items) => items.iter().enumerate().for_each(|(i, v)| flatten(&below(&i.to_string()), v, cells)),
-        Value::Null => cells.push((name.into(), String::new())),
-        // Names and numbers: no commas, no quotes.
-        Value::String(text) => cells.push((name.into(), text.clone())),
-        other => cells.push((name.into(), other.to_string())),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn nested_members_become_columns() {
-        let mut cells = Vec::new();
-        let row = serde_json::json!({ "component": "mirror", "exponent": null, "rmse": { "lab": [0.5, 1.0] } });
-        flatten("", &row, &mut cells);
-        let cells: Vec<(&str, &str)> = cells.iter().map(|(n, v)| (n.as_str(), v.as_str())).collect();
-        assert_eq!(cells, [("component", "mirror"), ("exponent", ""), ("rmse.lab.0", "0.5"), ("rmse.lab.1", "1.0")]);
     }
 }

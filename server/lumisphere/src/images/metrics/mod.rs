@@ -33,7 +33,7 @@ impl CompareOptions {
 }
 
 /// The distance of two images over the compared pixels.
-#[derive(Debug, Clone, PartialEq, serde::Serialize)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Comparison {
     /// How many pixels were compared: all, or those of the mask.
     pub pixels: usize,
