@@ -1,4 +1,6 @@
-//! Finds the shared data pack in tests. Tests that use it pass without it.
+//! What tests of several modules share: the data pack, which tests pass without, and statistics.
+
+pub mod chi_squared;
 
 use std::path::{Path, PathBuf};
 

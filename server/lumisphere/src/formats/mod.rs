@@ -1,7 +1,8 @@
-//! Foreign formats, one file each: bytes in, our geometry out, +Y up. Nothing here panics on what somebody else wrote.
+//! Foreign formats, one file each: bytes in, our geometry (+Y up) or reflectance out. Nothing here panics on what somebody else wrote.
 
 pub mod bpt;
 pub mod gltf;
+pub mod merl;
 pub mod obj;
 
 use thiserror::Error;
@@ -25,4 +26,7 @@ pub enum FormatError {
     /// Its triangles are none.
     #[error("{0}")]
     Mesh(#[from] MeshError),
+    /// It is no table of measured reflectance.
+    #[error("{0}")]
+    Merl(#[from] merl::MerlError),
 }

@@ -1,5 +1,6 @@
-//! Radiance and its colours.
+//! Radiance, its colours, and how surfaces reflect it.
 
+pub mod brdf;
 pub mod color;
 mod color_difference;
 

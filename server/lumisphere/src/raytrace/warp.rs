@@ -4,24 +4,7 @@ use std::f32::consts::{PI, TAU};
 
 use glam::{Vec2, Vec3};
 
-/// Point of the unit disc, uniform in area; keeps neighbours together (Shirley & Chiu 1997).
-#[inline]
-pub(super) fn disc(u: Vec2) -> Vec2 {
-    let p = 2.0 * u - 1.0;
-    if p == Vec2::ZERO {
-        return Vec2::ZERO;
-    }
-    let (radius, angle) = if p.x.abs() > p.y.abs() { (p.x, PI / 4.0 * (p.y / p.x)) } else { (p.y, PI / 2.0 - PI / 4.0 * (p.x / p.y)) };
-    let (sin, cos) = angle.sin_cos();
-    radius * Vec2::new(cos, sin)
-}
-
-/// Unit vector around +Z with density cos θ / π per steradian (Malley's method).
-#[inline]
-pub(super) fn cosine_hemisphere(u: Vec2) -> Vec3 {
-    let d = disc(u);
-    d.extend((1.0 - d.length_squared()).max(0.0).sqrt())
-}
+pub(super) use crate::radiometry::brdf::cosine_hemisphere;
 
 /// Barycentric weights (second, third corner) of a point uniform in a triangle's area (Heitz 2019, "A Low-Distortion Map").
 #[inline]

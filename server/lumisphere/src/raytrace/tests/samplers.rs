@@ -5,7 +5,6 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg32;
 
 use super::*;
-use crate::directions::{direction_from_lat_long, lat_long_from_direction};
 use crate::raytrace::distribution::Discrete;
 use crate::raytrace::lights::Lights;
 use crate::raytrace::scattering::{Lobe, Scatterer};
@@ -13,72 +12,7 @@ use crate::raytrace::sky::Sky;
 use crate::raytrace::sky_cells::NormalBin;
 use crate::raytrace::{surfaces, warp};
 use crate::scenes::PointLight;
-
-const DRAWS: usize = 200_000;
-
-/// Chi-squared test of counts against expected counts. Cells with fewer than 5 expected are pooled. Fails beyond 4 standard
-/// deviations of the normal that Wilson & Hilferty's cube root makes of it: one false alarm in 30 000 seeds.
-fn assert_distributed(counts: &[u32], expected: &[f64], what: &str) {
-    let (mut statistic, mut cells) = (0.0, 0);
-    let mut pooled = (0.0, 0.0);
-    let mut add = |count: f64, expected: f64| {
-        statistic += (count - expected).powi(2) / expected;
-        cells += 1;
-    };
-    for (count, expected) in counts.iter().zip(expected) {
-        if *expected >= 5.0 { add(f64::from(*count), *expected) } else { pooled = (pooled.0 + f64::from(*count), pooled.1 + expected) }
-    }
-    if pooled.1 >= 5.0 {
-        add(pooled.0, pooled.1);
-    } else {
-        // A handful expected in all: six sigma of a Poisson variable of mean 5.
-        assert!(pooled.0 <= 5.0 + 6.0 * 5f64.sqrt(), "{what}: {} draws where {:.2} were expected", pooled.0, pooled.1);
-    }
-    let freedom = f64::from(cells - 1);
-    let spread = 2.0 / (9.0 * freedom);
-    let z = ((statistic / freedom).cbrt() - (1.0 - spread)) / spread.sqrt();
-    assert!(z < 4.0, "{what}: chi-squared {statistic:.1} with {freedom} degrees of freedom, z = {z:.2}");
-}
-
-fn pair(random: &mut Pcg32) -> Vec2 {
-    Vec2::new(random.random(), random.random())
-}
-
-// Cells of the sphere: longitude × polar angle.
-const COLUMNS: usize = 24;
-const ROWS: usize = 12;
-
-/// Draws of a direction, and the integral of its stated density, cell by cell over the sphere.
-fn assert_density_on_sphere(what: &str, mut sample: impl FnMut(Vec2) -> Option<(Vec3, f32)>, density: impl Fn(Vec3) -> f32) {
-    let mut random = Pcg32::seed_from_u64(17);
-    let mut counts = vec![0; COLUMNS * ROWS + 1];
-    for _ in 0..DRAWS {
-        let Some((direction, pdf)) = sample(pair(&mut random)) else {
-            counts[COLUMNS * ROWS] += 1;
-            continue;
-        };
-        assert!((direction.length() - 1.0).abs() < 1e-4, "{what}: {direction}");
-        let stated = density(direction);
-        assert!((pdf / stated - 1.0).abs() < 2e-2, "{what}: drawn with {pdf}, stated {stated} toward {direction}");
-        let at = lat_long_from_direction(direction);
-        let cell = |x: f32, count: usize| ((x * count as f32) as usize).min(count - 1);
-        counts[cell(at.y, ROWS) * COLUMNS + cell(at.x, COLUMNS)] += 1;
-    }
-    // Midpoint rule, fine enough that its error stays far below the counts' own noise.
-    const FINE: usize = 32;
-    let mut expected = vec![0.0; COLUMNS * ROWS];
-    for (cell, expected) in expected.iter_mut().enumerate() {
-        for k in 0..FINE * FINE {
-            let within = Vec2::new((k % FINE) as f32 + 0.5, (k / FINE) as f32 + 0.5) / FINE as f32;
-            let at = (Vec2::new((cell % COLUMNS) as f32, (cell / COLUMNS) as f32) + within) / Vec2::new(COLUMNS as f32, ROWS as f32);
-            let area = 2.0 * std::f64::consts::PI.powi(2) / (COLUMNS * ROWS * FINE * FINE) as f64;
-            *expected += DRAWS as f64 * area * f64::from((std::f32::consts::PI * at.y).sin() * density(direction_from_lat_long(at)));
-        }
-    }
-    // What the density leaves out is absorbed.
-    expected.push((DRAWS as f64 - expected.iter().sum::<f64>()).max(0.0));
-    assert_distributed(&counts, &expected, what);
-}
+use crate::testdata::chi_squared::{DRAWS, assert_density_on_sphere, assert_distributed, pair};
 
 #[test]
 fn the_sky_is_drawn_by_its_light() {
