@@ -4,7 +4,6 @@
 
 mod cache_names;
 mod cameras;
-mod chart;
 mod cli;
 mod commands;
 mod contact_sheet;

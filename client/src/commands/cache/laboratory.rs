@@ -5,11 +5,11 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use clap::Args;
+use lumisphere::charts::{Line, LineChart, svg};
 use lumisphere::textures::laboratory::{self, Order, Outcome, compare};
 use lumisphere::textures::{CacheOptions, Codec, PolicyKind, ReadStrategy, Store, StoreOptions, Trace};
 use serde::Serialize;
 
-use crate::chart::{Chart, Line, svg};
 use crate::context::Context;
 use crate::exit::Failure;
 use crate::files::{Existing, write_atomically};
@@ -200,7 +200,7 @@ pub fn report(arguments: &ReportArguments, context: &Context) -> anyhow::Result<
     let points = points(&text, arguments.strategy).map_err(|e| Failure::Usage(format!("{}: {e}", arguments.table.display())))?;
     let title = format!("Misses of recorded requests, strategy {}", arguments.strategy);
     let lines = points.into_iter().map(|(name, points)| Line { name, points }).collect();
-    let chart = svg(&Chart { title: &title, x_label: "cache size in pages", y_label: "misses, % of texel fetches", lines })?;
+    let chart = svg(&LineChart { title: &title, x_label: "cache size in pages", y_label: "misses, % of texel fetches", lines })?;
     write_atomically(&arguments.out, chart.as_bytes(), Existing::from_force(arguments.force))?;
     context.output.document(&serde_json::json!({"chart": arguments.out}), || arguments.out.display().to_string())?;
     Ok(())

@@ -1,11 +1,11 @@
 //! What a load test says: a table, a JSON document, a chart.
 
+use lumisphere::charts::{Line, LineChart, svg};
 use lumisphere::textures::ReadStrategy;
 use serde_json::{Value, json};
 
 use super::Arguments;
 use super::phases::Outcome;
-use crate::chart::{Chart, Line, svg};
 use crate::output::table;
 
 const PERCENTILES: [f64; 5] = [50.0, 90.0, 95.0, 99.0, 99.9];
@@ -136,10 +136,10 @@ pub fn chart(results: &[Outcome]) -> anyhow::Result<String> {
         let points = shares.map(|share| (1.0 / share, millis(outcome.latency.value_at_quantile(1.0 - share))));
         Line { name: format!("{}{strategy}", outcome.phase.name()), points: points.collect() }
     };
-    svg(&Chart {
+    Ok(svg(&LineChart {
         title: "Frame latency",
         x_label: "one frame in so many takes longer",
         y_label: "milliseconds from when it was due",
         lines: results.iter().map(line).collect(),
-    })
+    })?)
 }

@@ -1,8 +1,14 @@
-//! How far rendered frames are from path-traced truth, at poses that the capture did not use.
+//! How far rendered frames are from path-traced truth, at poses that the capture did not use; what that says over many datasets and settings
+//! (`sweep`), drawn (`chart`, `report`), and which setting follows from it (`choose`).
 
+mod chart;
+mod choose;
 mod csv;
+mod metric;
 pub mod pareto;
+mod report;
 mod row;
+mod sweep;
 mod truth;
 
 use thiserror::Error;
@@ -16,8 +22,13 @@ use crate::representations::Settings;
 use crate::scenes::Scene;
 use row::Total;
 
+pub use chart::{chart, on_front};
+pub use choose::{Bounds, ChooseError, choose};
 pub use csv::csv;
+pub use metric::Metric;
+pub use report::{picture_path, report};
 pub use row::{PictureNames, Row};
+pub use sweep::{Conditions, Group, SWEEP_FORMAT, Sweep, SweepError, SweepRow, bytes_text};
 pub use truth::{Truth, TruthRenderer, ViewTruth};
 
 /// What to measure.
@@ -126,8 +137,8 @@ pub fn evaluate<E: std::error::Error>(
         }
     }
     progress.report("rendering and comparing", steps, steps);
-    let rows = |((settings, slug), total): ((&Settings, &String), Total)| total.rows(settings.name(), slug);
-    Ok(plan.settings.iter().zip(&slugs).zip(totals).flat_map(rows).collect())
+    let of_setting = |(i, total): (usize, Total)| total.rows(i, plan.settings[i].name(), &slugs[i]);
+    Ok(totals.into_iter().enumerate().flat_map(of_setting).collect())
 }
 
 // What a setting is compared with: what shows no reflection has one truth only.

@@ -11,6 +11,8 @@ use crate::representations::SettingName;
 /// One setting against one truth, over all views.
 #[derive(Debug, Clone, Serialize)]
 pub struct Row {
+    /// Which of the plan's settings.
+    pub setting_index: usize,
     /// What was shown and how: component, blend, exponent.
     #[serde(flatten)]
     pub setting: SettingName,
@@ -87,10 +89,11 @@ impl Total {
     }
 
     /// A row a truth; at least one frame and one view were added.
-    pub(super) fn rows(mut self, setting: SettingName, slug: &str) -> Vec<Row> {
+    pub(super) fn rows(mut self, setting_index: usize, setting: SettingName, slug: &str) -> Vec<Row> {
         self.millis.sort_by(f64::total_cmp);
         let backend = self.backends.iter().copied().collect::<Vec<_>>().join("+");
         let row = |(truth, views): (Truth, Vec<Comparison>)| Row {
+            setting_index,
             pictures: PictureNames::new(0, setting.component, slug, truth),
             setting: setting.clone(),
             backend: backend.clone(),
@@ -165,7 +168,7 @@ mod tests {
         total.add(Truth::OneReflection, compared(1, 0.0));
         // 1 to 20 in another order: 10 do not exceed 10, 19 do not exceed 19.
         (0..20).for_each(|k| total.add_frame(&frame(f64::from((7 * k) % 20 + 1), Backend::Gpu, Some(k as u64))));
-        let row = &total.rows(NAME, "s")[0];
+        let row = &total.rows(0, NAME, "s")[0];
         assert_eq!((row.millis_per_frame, row.millis_per_frame_p95, row.timed_frames), (10.0, 19.0, 20));
         assert_eq!((row.backend.as_str(), row.gpu_bytes), ("gpu", Some(19)));
     }
@@ -179,7 +182,7 @@ mod tests {
             total.add(Truth::OneReflection, compared(pixels, error));
             total.add(Truth::PhysicalMirror, compared(pixels, 0.0));
         }
-        let rows = total.rows(NAME, "mirror-normal-4");
+        let rows = total.rows(0, NAME, "mirror-normal-4");
         assert_eq!((rows.len(), rows[0].views, rows[0].error.pixels), (2, 2, 4));
         // (3 · 1 + 1 · 5) / 4; √((3 · 1 + 1 · 25) / 4).
         assert_eq!((rows[0].error.delta_e_2000_mean, rows[0].error.rmse_rgb[0]), (2.0, 7f64.sqrt()));
