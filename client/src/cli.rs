@@ -72,10 +72,26 @@ pub enum Command {
 
 #[cfg(test)]
 mod tests {
-    use clap::CommandFactory;
+    use clap::{CommandFactory, Parser};
 
     #[test]
     fn the_grammar_is_consistent() {
         super::Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn evaluate_takes_a_dataset_or_a_verb_and_render_a_dataset_or_a_choice() {
+        let exit_code = |line: &str| super::Cli::try_parse_from(line.split(' ')).map_or_else(|e| e.exit_code(), |_| 0);
+        for good in ["evaluate --dataset d", "evaluate --dataset d --out o", "evaluate sweep f", "evaluate choose s --max-error 1"] {
+            assert_eq!(exit_code(&format!("lumisphere {good}")), 0, "{good}");
+        }
+        for bad in ["evaluate", "evaluate --out o", "evaluate --dataset d sweep f", "evaluate sweep"] {
+            assert_eq!(exit_code(&format!("lumisphere {bad}")), 2, "{bad}");
+        }
+        for (line, code) in
+            [("--dataset d", 0), ("--choose s --max-error 1", 0), ("", 2), ("--dataset d --choose s", 2), ("--choose s --blend angle", 2)]
+        {
+            assert_eq!(exit_code(format!("lumisphere render --out o {line}").trim_end()), code, "{line}");
+        }
     }
 }

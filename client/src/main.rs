@@ -4,6 +4,7 @@
 
 mod cache_names;
 mod cameras;
+mod choose_flags;
 mod cli;
 mod commands;
 mod contact_sheet;
@@ -14,6 +15,8 @@ mod output;
 mod progress;
 mod render_settings;
 mod scene_source;
+mod sections;
+mod sweep_file;
 mod upload;
 mod viewer_path;
 mod views;

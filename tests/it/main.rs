@@ -12,6 +12,7 @@ mod memory;
 mod process;
 mod rules;
 mod stopping;
+mod sweep;
 mod system;
 mod tiny;
 mod uploads;

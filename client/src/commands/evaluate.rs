@@ -1,8 +1,12 @@
-//! `lumisphere evaluate`: submits the job, waits, prints the table, fetches the pictures.
+//! `lumisphere evaluate`: submits the job, waits, prints the table, fetches the pictures; and over many datasets and settings, `sweep`.
+
+mod choose;
+mod datasets;
+mod sweep;
 
 use std::path::PathBuf;
 
-use clap::{Args, ValueEnum};
+use clap::{Args, Subcommand, ValueEnum};
 use lumisphere_proto::v1alpha1 as wire;
 use serde::Deserialize;
 use serde_json::{Value, json};
@@ -20,8 +24,9 @@ use crate::render_settings::{Backend, Blend, Component, Filter, settings};
 #[derive(Debug, Args)]
 pub struct EvaluateFlags {
     /// Dataset to evaluate
-    #[arg(long, value_name = "NAME")]
-    dataset: String,
+    // Present unless a verb of `evaluate` makes it needless.
+    #[arg(long, value_name = "NAME", required = true)]
+    dataset: Option<String>,
     /// Which version [default: the latest]
     #[arg(long, default_value_t = 0, hide_default_value = true)]
     version: u64,
@@ -61,15 +66,26 @@ pub struct EvaluateFlags {
 
 /// What is true.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum Truth {
+pub enum Truth {
     /// One mirror reflection over the diffuse scene
     OneReflection,
     /// The object is a mirror and sees itself as one
     PhysicalMirror,
 }
 
-/// Flags of `evaluate`.
+impl Truth {
+    /// The wire's form.
+    pub fn to_wire(self) -> wire::Truth {
+        match self {
+            Self::OneReflection => wire::Truth::OneReflection,
+            Self::PhysicalMirror => wire::Truth::PhysicalMirror,
+        }
+    }
+}
+
+/// `evaluate` alone, or one of its verbs.
 #[derive(Debug, Args)]
+#[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
 pub struct Arguments {
     #[command(flatten)]
     evaluate: EvaluateFlags,
@@ -79,6 +95,17 @@ pub struct Arguments {
     /// Overwrite files
     #[arg(long)]
     force: bool,
+    #[command(subcommand)]
+    command: Option<Command>,
+}
+
+/// Verbs.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Evaluate every combination of captures and settings that a file names; write table, chart and report
+    Sweep(sweep::Arguments),
+    /// The cheapest setting of a sweep that keeps a bound
+    Choose(choose::Arguments),
 }
 
 impl EvaluateFlags {
@@ -88,17 +115,13 @@ impl EvaluateFlags {
             Views::Orbit(orbit) => wire::evaluate_spec::Views::Orbit(orbit),
             Views::Cameras(cameras) => wire::evaluate_spec::Views::Cameras(camera_list(cameras)),
         };
-        let truth = |t: &Truth| match t {
-            Truth::OneReflection => wire::Truth::OneReflection.into(),
-            Truth::PhysicalMirror => wire::Truth::PhysicalMirror.into(),
-        };
         Ok(wire::EvaluateSpec {
-            dataset: self.dataset.clone(),
+            dataset: self.dataset.clone().unwrap_or_default(),
             version: self.version,
             views: Some(views),
             truth_samples_per_pixel: self.truth_samples_per_pixel,
             settings: self.settings(),
-            truths: self.truths.iter().map(truth).collect(),
+            truths: self.truths.iter().map(|t| t.to_wire().into()).collect(),
             seed: self.seed,
             max_bounces: self.max_bounces,
             timed_frames_per_view: self.timed_frames_per_view,
@@ -116,8 +139,17 @@ impl EvaluateFlags {
     }
 }
 
-/// Evaluates and prints.
+/// Runs what was asked for.
 pub async fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<()> {
+    match &arguments.command {
+        Some(Command::Sweep(arguments)) => sweep::run(arguments, context).await,
+        Some(Command::Choose(arguments)) => choose::run(arguments, context),
+        None => run_one(arguments, context).await,
+    }
+}
+
+/// Evaluates and prints.
+async fn run_one(arguments: &Arguments, context: &Context) -> anyhow::Result<()> {
     let spec = arguments.evaluate.to_wire()?;
     let existing = Existing::from_force(arguments.force);
     if let Some(out) = &arguments.out {

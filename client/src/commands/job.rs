@@ -12,6 +12,7 @@ use super::download::{Wanted, download};
 use super::evaluate::EvaluateFlags;
 use super::watch::{Events, watch};
 use crate::cameras::{CameraFlags, Views};
+use crate::choose_flags::ChooseFlags;
 use crate::context::{Context, Server};
 use crate::exit::Failure;
 use crate::files::{Existing, prepare_folder, safe_name};
@@ -94,14 +95,16 @@ pub struct CaptureArguments {
     #[arg(long, value_name = "LENGTH")]
     epsilon: Option<f32>,
     /// Distance between neighbouring sample points, scene units
-    #[arg(long, value_name = "LENGTH", conflicts_with = "points")]
+    #[arg(long, value_name = "LENGTH", conflicts_with_all = ["points", "choose"])]
     spacing: Option<f32>,
-    /// About how many sample points, 4 to 65535 [default: 1000]
-    #[arg(long, value_name = "N")]
+    /// About how many sample points, 4 to 65534 [default: 1000]
+    #[arg(long, value_name = "N", conflicts_with = "choose")]
     points: Option<u32>,
     /// Texels along a cube-map face's edge: 16 to 1024, a multiple of 16 [default: 128]
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", conflicts_with = "choose")]
     face_size_texels: Option<u32>,
+    #[command(flatten)]
+    choose: ChooseFlags,
     /// Paths per texel [default: 64]
     #[arg(long, value_name = "N")]
     samples_per_texel: Option<u32>,
@@ -194,6 +197,11 @@ pub async fn run(command: Command, context: &Context) -> anyhow::Result<()> {
 }
 
 async fn submit_capture(context: &Context, arguments: &CaptureArguments) -> anyhow::Result<()> {
+    let chosen = arguments.choose.chosen()?;
+    if let Some(chosen) = &chosen {
+        context.output.say(&format!("chosen: sample points and face size of {}, dataset {}", chosen.label, chosen.row.dataset));
+    }
+    let (chosen_density, chosen_face) = chosen.map(|c| c.density()).transpose()?.unzip();
     let server = context.connect().await?;
     let scene = scene_source::to_wire(context, &mut server.datasets(), &arguments.scene).await?;
     let spacing = arguments.spacing.map(wire::capture_spec::Density::Spacing);
@@ -215,8 +223,8 @@ async fn submit_capture(context: &Context, arguments: &CaptureArguments) -> anyh
         object: arguments.object.clone(),
         dataset: arguments.dataset.clone(),
         offset: arguments.epsilon.unwrap_or(0.0),
-        density: spacing.or(points),
-        face_size_texels: given(arguments.face_size_texels, "face-size-texels")?,
+        density: spacing.or(points).or(chosen_density),
+        face_size_texels: given(arguments.face_size_texels.or(chosen_face), "face-size-texels")?,
         samples_per_texel: given(arguments.samples_per_texel, "samples-per-texel")?,
         max_bounces: given(arguments.max_bounces, "max-bounces")?,
         sample_map_size_texels: given(arguments.sample_map_size_texels, "sample-map-size-texels")?,

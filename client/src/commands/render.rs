@@ -17,6 +17,7 @@ use wire::interact_response::Message as Down;
 use wire::rendering_client::RenderingClient;
 
 use crate::cameras::{CameraFlags, Named};
+use crate::choose_flags::ChooseFlags;
 use crate::contact_sheet::contact_sheet;
 use crate::context::{Context, Server};
 use crate::exit::Failure;
@@ -33,13 +34,16 @@ const CREDITS: u32 = 2;
 
 /// Flags of `render`.
 #[derive(Debug, Args)]
+#[command(mut_args(alone_or_chosen))]
 pub struct Arguments {
     /// Dataset to render
-    #[arg(long, value_name = "NAME")]
-    dataset: String,
+    #[arg(long, value_name = "NAME", required_unless_present = "choose", conflicts_with = "choose")]
+    dataset: Option<String>,
     /// Which version [default: the latest]
-    #[arg(long, default_value_t = 0, hide_default_value = true)]
+    #[arg(long, default_value_t = 0, hide_default_value = true, conflicts_with = "choose")]
     version: u64,
+    #[command(flatten)]
+    choose: ChooseFlags,
     #[command(flatten)]
     cameras: CameraFlags,
     #[command(flatten)]
@@ -57,16 +61,42 @@ pub struct Arguments {
     stream: bool,
 }
 
+/// What a chosen row says is not said by flags, too.
+fn alone_or_chosen(argument: clap::Arg) -> clap::Arg {
+    let is_of_row = ["component", "blend", "specular", "filter", "backend"].contains(&argument.get_id().as_str());
+    if is_of_row { argument.conflicts_with("choose") } else { argument }
+}
+
+/// What is rendered, and how.
+struct Target {
+    dataset: String,
+    version: u64,
+    settings: wire::RenderSettings,
+}
+
+impl Target {
+    fn of(arguments: &Arguments, context: &Context) -> anyhow::Result<Self> {
+        let Some(chosen) = arguments.choose.chosen()? else {
+            let (dataset, version) = (arguments.dataset.clone().unwrap_or_default(), arguments.version);
+            return Ok(Self { dataset, version, settings: arguments.settings.to_wire() });
+        };
+        context.output.say(&format!("chosen: {} of dataset {}", chosen.label, chosen.row.dataset));
+        let settings = chosen.settings()?;
+        Ok(Self { dataset: chosen.row.dataset, version: chosen.row.version, settings })
+    }
+}
+
 /// Renders all cameras.
 pub async fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<()> {
+    let target = Target::of(arguments, context)?;
     let server = context.connect().await?;
-    let version = version_of(context, &server, &arguments.dataset, arguments.version).await?;
+    let version = version_of(context, &server, &target.dataset, target.version).await?;
     let cameras = arguments.cameras.cameras(version.object_bounds.as_ref())?;
     let names = file_names(cameras.len(), &arguments.output);
     let existing = Existing::from_force(arguments.force);
     prepare_folder(&arguments.out, names.iter().flatten().cloned().chain([CONTACT_SHEET.into()]), existing)?;
 
-    let mut source = FrameSource::open(arguments, context, &server, version.version).await?;
+    let mut source = FrameSource::open(arguments, &target, context, &server, version.version).await?;
     let mut meter = Meter::new(context.output);
     let mut pictures = Vec::new();
     for (index, (camera, names)) in cameras.iter().zip(&names).enumerate() {
@@ -113,9 +143,9 @@ enum FrameSource<'a> {
 }
 
 impl<'a> FrameSource<'a> {
-    async fn open(arguments: &Arguments, context: &'a Context, server: &Server, version: u64) -> anyhow::Result<Self> {
-        let (settings, output) = (Some(arguments.settings.to_wire()), Some(arguments.output.to_wire()));
-        let dataset = arguments.dataset.clone();
+    async fn open(arguments: &Arguments, target: &Target, context: &'a Context, server: &Server, version: u64) -> anyhow::Result<Self> {
+        let (settings, output) = (Some(target.settings), Some(arguments.output.to_wire()));
+        let dataset = target.dataset.clone();
         let mut client = server.rendering();
         if !arguments.stream {
             let template = wire::RenderFrameRequest { dataset, version, camera: None, settings, output, pose_id: 0 };
