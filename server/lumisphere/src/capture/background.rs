@@ -64,7 +64,7 @@ pub fn bake_background(
         let mesh = subdivide(&other.mesh, &max_edge, MAX_TRIANGLES);
         let albedo = match &scene.materials[other.material] {
             Material::Diffuse { albedo } => Some(albedo.clone()),
-            Material::Mirror { .. } | Material::Ggx { .. } => None,
+            Material::Mirror { .. } | Material::Ggx { .. } | Material::Brdf(_) => None,
         };
         surfaces.push(BackgroundSurface { mesh, irradiance: Vec::new(), albedo, emission: other.emission.unwrap_or(Vec3::ZERO) });
     }

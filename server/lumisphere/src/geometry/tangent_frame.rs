@@ -26,6 +26,15 @@ impl TangentFrame {
         }
     }
 
+    /// The basis around the unit vector `normal` whose tangent lies as close to `tangent` (any length) as it can; that of `around` where
+    /// `tangent` says nothing.
+    pub fn along(normal: Vec3, tangent: Vec3) -> Self {
+        match (tangent - normal * normal.dot(tangent)).try_normalize() {
+            Some(tangent) => Self { tangent, bitangent: normal.cross(tangent), normal },
+            None => Self::around(normal),
+        }
+    }
+
     /// World vector from coordinates along tangent, bitangent and normal.
     pub fn world_from_local(&self, local: Vec3) -> Vec3 {
         local.x * self.tangent + local.y * self.bitangent + local.z * self.normal
@@ -50,6 +59,16 @@ mod tests {
             assert!((f.tangent.length() - 1.0).abs() < 1e-6);
             let v = Vec3::new(0.3, -0.5, 0.7);
             assert!((f.world_from_local(f.local_from_world(v)) - v).length() < 1e-6);
+        }
+    }
+
+    #[test]
+    fn a_given_tangent_is_kept_as_far_as_the_normal_allows() {
+        let normal = Vec3::new(0.6, 0.0, -0.8);
+        let f = TangentFrame::along(normal, 7.0 * Vec3::Y + 3.0 * normal);
+        assert!((f.tangent - Vec3::Y).length() < 1e-6 && (f.tangent.cross(f.bitangent) - normal).length() < 1e-6);
+        for nothing in [Vec3::ZERO, Vec3::NAN] {
+            assert_eq!(TangentFrame::along(normal, nothing), TangentFrame::around(normal));
         }
     }
 }

@@ -17,6 +17,7 @@ use super::sky_cells::NormalBin;
 use super::surfaces::{Reflectance, SurfacePoint, SurfaceTriangle, TexelGrid, offset_along};
 use super::traverse::RawHit;
 use super::warp::power_heuristic;
+use crate::radiometry::brdf::BrdfModel;
 
 /// Everything a path reads: shared, immutable.
 #[derive(Debug)]
@@ -33,8 +34,18 @@ pub(super) struct World {
 #[derive(Debug, Clone)]
 pub(super) struct Look {
     pub reflectance: Vec<Reflectance>,
-    /// Objects that a camera ray sees as a mirror, once.
-    pub mirrored_once: Vec<Option<Vec3>>,
+    /// Objects that a camera ray sees otherwise, once.
+    pub once: Vec<Option<Once>>,
+    /// Named by `Reflectance::Glossy` and `Once::Glossy`.
+    pub brdfs: Vec<BrdfModel>,
+}
+
+/// What a camera ray sees of an object that all other rays see as its `reflectance`.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Once {
+    Mirror(Vec3),
+    /// Index into `Look::brdfs`.
+    Glossy(usize),
 }
 
 /// One thread's walk through the world: put paths in, `trace` them, read `radiance`, `clear`.
@@ -135,23 +146,46 @@ impl<'a> PathTracer<'a> {
         }
     }
 
-    /// The paths, which come from a camera, see `mirrored_once` objects as mirrors.
+    /// The paths, which come from a camera, see objects that look otherwise `once`. The reflection costs no bounce.
     pub fn reflect_once(&mut self) {
-        if self.look.mirrored_once.iter().all(Option::is_none) {
+        if self.look.once.iter().all(Option::is_none) {
             return;
         }
         let live = std::mem::take(&mut self.live);
+        let mut next = Vec::with_capacity(live.len());
         self.for_each_hit(&live, |tracer, index, hit| {
-            let Some(point) = hit.map(|hit| SurfacePoint::new(&tracer.world.triangles, hit)) else { return };
-            let Some(reflectance) = tracer.look.mirrored_once[point.triangle.object as usize] else { return };
-            let path = &mut tracer.paths[index as usize];
-            let (geometric_normal, shading_normal) = facing(&point, -path.direction);
-            let mirror = Scatterer { geometric_normal, shading_normal, wo: -path.direction, lobe: Lobe::Mirror(reflectance) };
-            path.direction = mirror.mirrored();
+            if tracer.reflect_first(index, hit) {
+                next.push(index);
+            }
+        });
+        self.live = next;
+    }
+
+    /// Turns a path that comes from a camera at the object that it meets. Whether the path goes on.
+    fn reflect_first(&mut self, index: u32, hit: Option<RawHit>) -> bool {
+        let Some(point) = hit.map(|hit| SurfacePoint::new(&self.world.triangles, hit)) else { return true };
+        let look = self.look;
+        let Some(once) = look.once[point.triangle.object as usize] else { return true };
+        let path = &mut self.paths[index as usize];
+        let (geometric_normal, shading_normal) = facing(&point, -path.direction);
+        let lobe = match once {
+            Once::Mirror(reflectance) => Lobe::Mirror(reflectance),
+            Once::Glossy(brdf) => Lobe::Glossy { brdf: &look.brdfs[brdf], tangent: point.triangle.tangent() },
+        };
+        let scatterer = Scatterer { geometric_normal, shading_normal, wo: -path.direction, lobe };
+        if let Once::Mirror(reflectance) = once {
+            path.direction = scatterer.mirrored();
             path.origin = leave(&point, path.direction);
             path.throughput = reflectance;
-        });
-        self.live = live;
+            return true;
+        }
+        let from = leave(&point, geometric_normal);
+        path.bin = scatterer.normal_bin();
+        self.light(index, from, &scatterer, Strategy::LightAndReflection);
+        let path = &mut self.paths[index as usize];
+        let Some(scattered) = scatterer.sample(path.random.pair()) else { return false };
+        (path.origin, path.direction, path.throughput, path.pdf) = (from, scattered.wi, scattered.weight, scattered.pdf);
+        scattered.weight != Vec3::ZERO
     }
 
     /// Follows all paths to their ends.
@@ -210,8 +244,9 @@ impl<'a> PathTracer<'a> {
         if bounces == self.max_bounces {
             return false;
         }
-        let reflectance = self.look.reflectance[point.triangle.object as usize];
-        let scatterer = Scatterer::new(&point, reflectance, &self.world.textures, -path.direction);
+        let look = self.look;
+        let reflectance = look.reflectance[point.triangle.object as usize];
+        let scatterer = Scatterer::new(&point, reflectance, &self.world.textures, &look.brdfs, -path.direction);
         self.scatter(index, leave(&point, scatterer.geometric_normal), &scatterer, bounces + 1)
     }
 
@@ -223,16 +258,13 @@ impl<'a> PathTracer<'a> {
         // The path ends here where light sampling alone does: a last ray would cost more than it calms.
         let last = bounces == self.max_bounces && self.world.lights.only_sky() && matches!(scatterer.lobe, Lobe::Lambert(_));
         let strategy = if last { Strategy::LightAlone } else { Strategy::LightAndReflection };
-        if !matches!(scatterer.lobe, Lobe::Mirror(_))
-            && let Some(mut shadow) = self.world.direct(from, scatterer, strategy, &mut path.random)
-        {
-            shadow.arriving *= path.throughput;
-            shadow.path = index;
-            self.shadows.push(shadow);
+        if !matches!(scatterer.lobe, Lobe::Mirror(_)) {
+            self.light(index, from, scatterer, strategy);
         }
         if last {
             return false;
         }
+        let path = &mut self.paths[index as usize];
         let Some(scattered) = scatterer.sample(path.random.pair()) else { return false };
         let Some(throughput) = survive(path.throughput * scattered.weight, bounces, &mut path.random) else { return false };
         (path.origin, path.direction, path.throughput, path.pdf) = (from, scattered.wi, throughput, scattered.pdf);
@@ -246,6 +278,16 @@ impl<'a> PathTracer<'a> {
             self.shadows.push(ShadowRay { origin: from, direction: path.direction, limit: f32::INFINITY, arriving, path: index });
         }
         false
+    }
+
+    /// Light of one emitter at a vertex of the path, on its way.
+    fn light(&mut self, index: u32, from: Vec3, scatterer: &Scatterer, strategy: Strategy) {
+        let path = &mut self.paths[index as usize];
+        if let Some(mut shadow) = self.world.direct(from, scatterer, strategy, &mut path.random) {
+            shadow.arriving *= path.throughput;
+            shadow.path = index;
+            self.shadows.push(shadow);
+        }
     }
 
     /// Lets the light through that nothing blocks.
@@ -313,8 +355,8 @@ fn survive(throughput: Vec3, bounces: u32, random: &mut SampleSequence) -> Optio
 
 impl Look {
     /// Nothing changed: each object as its material says.
-    pub fn authored(reflectance: Vec<Reflectance>) -> Self {
-        let mirrored_once = vec![None; reflectance.len()];
-        Self { reflectance, mirrored_once }
+    pub fn authored(reflectance: Vec<Reflectance>, brdfs: Vec<BrdfModel>) -> Self {
+        let once = vec![None; reflectance.len()];
+        Self { reflectance, once, brdfs }
     }
 }

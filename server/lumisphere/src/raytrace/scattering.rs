@@ -1,4 +1,4 @@
-//! Reflection at a surface point: value, density and sampling of Lambert, mirror and GGX (F = 1), two-sided.
+//! Reflection at a surface point: value, density and sampling of Lambert, mirror and any BRDF, two-sided.
 
 use std::f32::consts::{FRAC_1_PI, PI};
 
@@ -8,25 +8,31 @@ use super::sky_cells::NormalBin;
 use super::surfaces::{Reflectance, SurfacePoint, TexelGrid};
 use super::warp;
 use crate::geometry::TangentFrame;
+use crate::radiometry::brdf::{Brdf, BrdfModel};
 
 /// How the point reflects, seen from `wo`: both normals on the viewer's side, albedo looked up.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Scatterer {
+pub(super) struct Scatterer<'a> {
     /// Unit, the side of the surface that `wo` sees.
     pub geometric_normal: Vec3,
     /// Unit, same side as `geometric_normal`.
     pub shading_normal: Vec3,
     /// Unit, toward the viewer.
     pub wo: Vec3,
-    pub lobe: Lobe,
+    pub lobe: Lobe<'a>,
 }
 
 /// The scattering functions.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) enum Lobe {
+pub(super) enum Lobe<'a> {
     Lambert(Vec3),
     Mirror(Vec3),
-    Ggx { alpha: f32, reflectance: Vec3 },
+    /// Neither of the two, sampled by its own means. Lambert keeps an arm of its own: most surfaces are.
+    Glossy {
+        brdf: &'a BrdfModel,
+        /// What its +X lies along, any length; zero leaves it open.
+        tangent: Vec3,
+    },
 }
 
 /// A sampled direction. `weight` = brdf · cosine / pdf.
@@ -38,14 +44,14 @@ pub(super) struct Scattered {
     pub pdf: Option<f32>,
 }
 
-impl Scatterer {
-    pub fn new(point: &SurfacePoint, reflectance: Reflectance, textures: &[TexelGrid], wo: Vec3) -> Self {
+impl<'a> Scatterer<'a> {
+    pub fn new(point: &SurfacePoint, reflectance: Reflectance, textures: &[TexelGrid], brdfs: &'a [BrdfModel], wo: Vec3) -> Self {
         let (geometric_normal, shading_normal) = facing(point, wo);
         let lobe = match reflectance {
             Reflectance::Lambert(albedo) => Lobe::Lambert(albedo),
             Reflectance::LambertTexture(texture) => Lobe::Lambert(textures[texture].sample(point.triangle.uv(point.u, point.v))),
             Reflectance::Mirror(reflectance) => Lobe::Mirror(reflectance),
-            Reflectance::Ggx { alpha, reflectance } => Lobe::Ggx { alpha, reflectance },
+            Reflectance::Glossy { brdf, .. } => Lobe::Glossy { brdf: &brdfs[brdf], tangent: point.triangle.tangent() },
         };
         Self { geometric_normal, shading_normal, wo, lobe }
     }
@@ -53,7 +59,7 @@ impl Scatterer {
     /// By which normals light is to be sampled.
     #[inline]
     pub fn normal_bin(&self) -> NormalBin {
-        if matches!(self.lobe, Lobe::Lambert(_)) { NormalBin::of(self.shading_normal) } else { NormalBin::ANY }
+        if matches!(self.lobe, Lobe::Mirror(_)) { NormalBin::ANY } else { NormalBin::of(self.shading_normal) }
     }
 
     /// brdf · cosine and the density with which `sample` draws `wi` (solid angle). Zero for a mirror and below the surface:
@@ -67,10 +73,10 @@ impl Scatterer {
         match self.lobe {
             Lobe::Lambert(albedo) => (albedo * (cosine * FRAC_1_PI), cosine * FRAC_1_PI),
             Lobe::Mirror(_) => (Vec3::ZERO, 0.0),
-            Lobe::Ggx { alpha, reflectance } => {
-                let frame = TangentFrame::around(self.shading_normal);
-                let (value, pdf) = ggx(frame.local_from_world(self.wo), frame.local_from_world(wi), alpha);
-                (reflectance * value, pdf)
+            Lobe::Glossy { brdf, tangent } => {
+                let frame = TangentFrame::along(self.shading_normal, tangent);
+                let (wo, wi) = (frame.local_from_world(self.wo), frame.local_from_world(wi));
+                (brdf.eval(wo, wi) * wi.z, brdf.pdf(wo, wi))
             }
         }
     }
@@ -85,25 +91,17 @@ impl Scatterer {
                 (local.z > 0.0 && wi.dot(self.geometric_normal) > 0.0).then_some(Scattered { wi, weight: albedo, pdf: Some(local.z / PI) })
             }
             Lobe::Mirror(reflectance) => Some(Scattered { wi: self.mirrored(), weight: reflectance, pdf: None }),
-            Lobe::Ggx { alpha, reflectance } => self.sample_ggx(alpha, reflectance, u),
+            Lobe::Glossy { brdf, tangent } => self.sample_glossy(brdf, tangent, u),
         }
     }
 
-    fn sample_ggx(&self, alpha: f32, reflectance: Vec3, u: Vec2) -> Option<Scattered> {
-        let frame = TangentFrame::around(self.shading_normal);
+    fn sample_glossy(&self, brdf: &BrdfModel, tangent: Vec3, u: Vec2) -> Option<Scattered> {
+        let frame = TangentFrame::along(self.shading_normal, tangent);
         let wo = frame.local_from_world(self.wo);
-        if !(wo.z > 0.0) {
-            return None;
-        }
-        let m = warp::ggx_visible_normal(wo, alpha, u);
-        let wi = 2.0 * wo.dot(m) * m - wo;
-        let (value, pdf) = ggx(wo, wi, alpha);
-        let direction = frame.world_from_local(wi);
-        (pdf > 0.0 && direction.dot(self.geometric_normal) > 0.0).then_some(Scattered {
-            wi: direction,
-            weight: reflectance * (value / pdf),
-            pdf: Some(pdf),
-        })
+        let (local, pdf) = brdf.sample(wo, u)?;
+        let wi = frame.world_from_local(local);
+        let weight = brdf.eval(wo, local) * (local.z / pdf);
+        (wi.dot(self.geometric_normal) > 0.0).then_some(Scattered { wi, weight, pdf: Some(pdf) })
     }
 
     /// The mirror direction about the shading normal; about the geometric one where the former would enter the surface.
@@ -119,17 +117,4 @@ pub(super) fn facing(point: &SurfacePoint, wo: Vec3) -> (Vec3, Vec3) {
     let geometric = point.triangle.front * 1f32.copysign(point.triangle.front.dot(wo));
     let shading = point.triangle.shading_normal(point.u, point.v);
     (geometric, shading * 1f32.copysign(shading.dot(geometric)))
-}
-
-/// brdf · cosine and density of GGX with F = 1, in tangent space. Zero unless both directions are above the surface.
-#[inline]
-fn ggx(wo: Vec3, wi: Vec3, alpha: f32) -> (f32, f32) {
-    if !(wo.z > 0.0 && wi.z > 0.0) {
-        return (0.0, 0.0);
-    }
-    let m = (wo + wi).normalize_or(Vec3::Z);
-    let (lambda_o, lambda_i) = (warp::ggx_lambda(wo, alpha), warp::ggx_lambda(wi, alpha));
-    // D / (4 cos θo) is common: brdf · cos θi = D G₂ / (4 cos θo), pdf = D G₁ / (4 cos θo).
-    let common = warp::ggx_distribution(m, alpha) / (4.0 * wo.z);
-    (common / (1.0 + lambda_o + lambda_i), common / (1.0 + lambda_o))
 }

@@ -4,6 +4,7 @@ use glam::{Vec2, Vec3};
 
 use super::traverse::RawHit;
 use crate::geometry::TriangleMesh;
+use crate::radiometry::brdf::{BrdfModel, CookTorrance, directional_albedo};
 use crate::scenes::{Albedo, Material, Scene, Texture};
 
 /// One triangle with everything shading asks for. Normals and winding may disagree in a file: `front` follows the normals.
@@ -27,7 +28,12 @@ pub(super) enum Reflectance {
     Lambert(Vec3),
     LambertTexture(usize),
     Mirror(Vec3),
-    Ggx { alpha: f32, reflectance: Vec3 },
+    Glossy {
+        /// Index into `Look::brdfs`.
+        brdf: usize,
+        /// Of the Lambertian surface that it becomes when it is made diffuse.
+        albedo: Vec3,
+    },
 }
 
 /// Texture with its channels side by side: one cache line a footprint row instead of three.
@@ -82,6 +88,14 @@ impl SurfaceTriangle {
         a + u * (b - a) + v * (c - a)
     }
 
+    /// Direction in which the texture's u grows (∂p/∂u up to a factor above zero); zero where texture coordinates say nothing.
+    pub fn tangent(&self) -> Vec3 {
+        let ([a, b, c], [at_a, at_b, at_c]) = (self.corners, self.uvs);
+        let (to_b, to_c) = (at_b - at_a, at_c - at_a);
+        let turn = to_b.perp_dot(to_c);
+        if turn == 0.0 { Vec3::ZERO } else { ((b - a) * to_c.y - (c - a) * to_b.y) * turn.signum() }
+    }
+
     /// Area in squared scene units.
     pub fn area(&self) -> f32 {
         let [a, b, c] = self.corners;
@@ -112,20 +126,36 @@ impl Reflectance {
     // Below this roughness the microfacet density overflows the precision of f32 directions; the surface is a mirror to the eye.
     const SMOOTHEST: f32 = 1e-3;
 
-    pub fn new(material: &Material) -> Self {
+    /// Adds the BRDF that it needs, if any, to `brdfs`.
+    pub fn new(material: &Material, brdfs: &mut Vec<BrdfModel>) -> Self {
         match material {
             Material::Diffuse { albedo: Albedo::Constant(albedo) } => Self::Lambert(*albedo),
             Material::Diffuse { albedo: Albedo::Texture(texture) } => Self::LambertTexture(*texture),
             Material::Mirror { reflectance } => Self::Mirror(*reflectance),
-            Material::Ggx { alpha, reflectance } if *alpha > Self::SMOOTHEST => Self::Ggx { alpha: *alpha, reflectance: *reflectance },
-            Material::Ggx { reflectance, .. } => Self::Mirror(*reflectance),
+            Material::Ggx { alpha, reflectance } => match CookTorrance::new(Vec2::splat(*alpha), *reflectance, *reflectance) {
+                Ok(brdf) if *alpha > Self::SMOOTHEST => {
+                    brdfs.push(brdf.into());
+                    Self::Glossy { brdf: brdfs.len() - 1, albedo: *reflectance }
+                }
+                // Smoother than that, or numbers that no loader lets pass.
+                _ => Self::Mirror(*reflectance),
+            },
+            Material::Brdf(brdf) => Self::glossy(brdf.clone(), brdfs),
         }
+    }
+
+    /// The surface of any BRDF, which is added to `brdfs`. Made diffuse, it reflects what the BRDF does along the normal.
+    pub fn glossy(brdf: BrdfModel, brdfs: &mut Vec<BrdfModel>) -> Self {
+        const SAMPLES: u32 = 4096;
+        let albedo = directional_albedo(&brdf, Vec3::Z, SAMPLES).min(Vec3::ONE);
+        brdfs.push(brdf);
+        Self::Glossy { brdf: brdfs.len() - 1, albedo }
     }
 
     /// The Lambertian surface of the same colour.
     pub fn diffuse(self) -> Self {
         match self {
-            Self::Mirror(reflectance) | Self::Ggx { reflectance, .. } => Self::Lambert(reflectance),
+            Self::Mirror(albedo) | Self::Glossy { albedo, .. } => Self::Lambert(albedo),
             lambert => lambert,
         }
     }

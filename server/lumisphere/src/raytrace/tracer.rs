@@ -9,20 +9,21 @@ use thiserror::Error;
 use super::bvh::Bvh;
 use super::lights::Lights;
 use super::low_discrepancy::SampleSequence;
-use super::path::{Look, PathTracer, World};
+use super::path::{Look, Once, PathTracer, World};
 use super::render::TraceSettings;
 use super::surfaces::{self, Reflectance, SurfacePoint, SurfaceTriangle, TexelGrid};
 use super::traverse::Stack;
 use super::warp::even_directions;
 use crate::geometry::Ray;
+use crate::radiometry::brdf::BrdfModel;
 use crate::scenes::{Albedo, Material, Scene};
 
 /// How one chosen object looks, whatever its material says.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub enum Appearance {
     /// Its own material.
     AsAuthored,
-    /// Lambertian: its own albedo; for a mirror or GGX material, its reflectance.
+    /// Lambertian: its own albedo; of a mirror or GGX material its reflectance, of another what it reflects of light along the normal.
     Diffuse,
     /// A camera ray that hits the object sees `reflectance` × the radiance of one mirror reflection over the scene in which the
     /// object is `Diffuse`: what an offset surface light field should converge to. The reflection costs no bounce, so the
@@ -31,10 +32,21 @@ pub enum Appearance {
         /// In [0, 1] per channel.
         reflectance: Vec3,
     },
+    /// The same with any BRDF: ∫ f(wo, wi) L(wi) cos θ dωi over the scene in which the object is `Diffuse`, as the camera ray sees it.
+    /// Its +X lies along the texture's u.
+    OneGlossy {
+        /// All of it, a diffuse part too.
+        brdf: BrdfModel,
+    },
     /// A perfect mirror at every hit.
     PhysicalMirror {
         /// In [0, 1] per channel.
         reflectance: Vec3,
+    },
+    /// The BRDF at every hit.
+    PhysicalGlossy {
+        /// All of it.
+        brdf: BrdfModel,
     },
 }
 
@@ -98,13 +110,15 @@ impl Tracer {
     /// Builds the tree and copies what shading needs. Deterministic.
     pub fn new(scene: &Scene) -> Result<Self, TraceError> {
         check(scene)?;
-        let reflectance: Vec<Reflectance> = scene.objects.iter().map(|o| Reflectance::new(&scene.materials[o.material])).collect();
+        let mut brdfs = Vec::new();
+        let by_material: Vec<Reflectance> = scene.materials.iter().map(|m| Reflectance::new(m, &mut brdfs)).collect();
+        let reflectance: Vec<Reflectance> = scene.objects.iter().map(|o| by_material[o.material]).collect();
         let textures = scene.textures.iter().map(TexelGrid::new).collect();
         let triangles = surfaces::flatten(scene);
         let lights = Lights::new(scene, &triangles, bounding_radius(&triangles));
         let world = World { bvh: build_tree(&triangles), extent: extent(&triangles), triangles, textures, lights };
         let authored = Arc::new(reflectance);
-        Ok(Self { world: Arc::new(world), look: Arc::new(Look::authored(authored.to_vec())), authored })
+        Ok(Self { world: Arc::new(world), look: Arc::new(Look::authored(authored.to_vec(), brdfs)), authored })
     }
 
     /// The same scene with one object looking otherwise; other objects keep the look they have here. An object that the scene
@@ -112,14 +126,20 @@ impl Tracer {
     pub fn with_appearance(&self, object: usize, appearance: Appearance) -> Self {
         let mut look = (*self.look).clone();
         if let Some(authored) = self.authored.get(object).copied() {
-            look.mirrored_once[object] = None;
+            look.once[object] = None;
             look.reflectance[object] = match appearance {
                 Appearance::AsAuthored => authored,
                 Appearance::Diffuse => authored.diffuse(),
                 Appearance::OneMirror { reflectance } => {
-                    look.mirrored_once[object] = Some(reflectance);
+                    look.once[object] = Some(Once::Mirror(reflectance));
                     authored.diffuse()
                 }
+                Appearance::OneGlossy { brdf } => {
+                    look.brdfs.push(brdf);
+                    look.once[object] = Some(Once::Glossy(look.brdfs.len() - 1));
+                    authored.diffuse()
+                }
+                Appearance::PhysicalGlossy { brdf } => Reflectance::glossy(brdf, &mut look.brdfs),
                 Appearance::PhysicalMirror { reflectance } => Reflectance::Mirror(reflectance),
             };
         }

@@ -1,6 +1,7 @@
 //! A scene while it is being put together: names already used, pictures already read, limits still to be kept.
 
 use std::collections::{HashMap, HashSet};
+use std::sync::Arc;
 
 use glam::Vec3;
 
@@ -10,6 +11,7 @@ use super::json::Node;
 use super::scene::{Albedo, Environment, Material, Object, Scene, Surface, Texture};
 use crate::geometry::TriangleMesh;
 use crate::images::{Image, ReadLimits, decode_image};
+use crate::radiometry::brdf::Measured;
 
 /// Triangles one scene may hold: 64 bytes each with its vertices and its place in a hierarchy, 1 GiB.
 pub(super) const MAX_TRIANGLES: usize = 1 << 24;
@@ -22,6 +24,8 @@ pub(super) struct Assembly<'a> {
     /// The scene file's own path: what it names is beside it.
     pub file: &'a str,
     pub scene: Scene,
+    /// Measured materials already read, by path.
+    pub tables: HashMap<String, Arc<Measured>>,
     materials: HashMap<String, usize>,
     names: HashSet<(&'static str, String)>,
     pictures: HashMap<String, usize>,
@@ -41,7 +45,17 @@ impl<'a> Assembly<'a> {
             cameras: Vec::new(),
             notes: Vec::new(),
         };
-        Self { files, file, scene, materials: HashMap::new(), names: HashSet::new(), pictures: HashMap::new(), triangles: 0, texels: 0 }
+        Self {
+            files,
+            file,
+            scene,
+            tables: HashMap::new(),
+            materials: HashMap::new(),
+            names: HashSet::new(),
+            pictures: HashMap::new(),
+            triangles: 0,
+            texels: 0,
+        }
     }
 
     /// Path, from the files' root, of what the scene file calls `path`.

@@ -4,6 +4,7 @@ use glam::Vec3;
 
 use super::*;
 use crate::geometry::{Intrinsics, Pose};
+use crate::radiometry::brdf::{AnalyticBrdf, Brdf};
 use crate::testdata::shared;
 
 const QUAD: &str = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nvn 0 0 1\nf 1/1/1 2/2/1 3/3/1 4/4/1\n";
@@ -75,6 +76,81 @@ fn everything_the_format_knows_arrives() {
     assert_eq!((map.radiance(Vec3::Y), map.rotation), (Vec3::ONE, std::f32::consts::FRAC_PI_2));
     assert_eq!((scene.cameras[0].name.as_str(), scene.cameras[0].camera.intrinsics().width_px), ("a", 64));
     assert!(scene.notes.is_empty());
+}
+
+/// A scene of one triangle and this material, beside a measured table.
+fn with_material(material: &str) -> Result<Scene, SceneError> {
+    let json = format!(
+        r#"{{"format": "neutral-scene/1", "materials": {{"m": {material}}}, "objects": [
+            {{"name": "wall", "shape": {{"type": "rect", "corner": [0, 0, 0], "edge_u": [1, 0, 0], "edge_v": [0, 1, 0]}}, "material": "m"}}]}}"#
+    );
+    let mut files = with(&json);
+    let mut table: Vec<u8> = [90i32, 90, 180].iter().flat_map(|n| n.to_le_bytes()).collect();
+    table.extend(vec![150f64.to_le_bytes(); 3 * 90 * 90 * 180].concat());
+    files.insert("short.binary", table[..1000].to_vec()).unwrap();
+    files.insert("grey.binary", table).unwrap();
+    load(&files, "scene.json", &LoadOptions::as_written())
+}
+
+#[test]
+fn a_material_may_be_any_brdf() {
+    for (written, parameters) in [
+        (
+            r#"{"type": "phong", "diffuse": [0.1, 0.1, 0.1], "specular": [0.5, 0.5, 0.5], "exponent": 20}"#,
+            r#"{"model": "phong", "diffuse": [0.1, 0.1, 0.1], "specular": [0.5, 0.5, 0.5], "exponent": 20}"#,
+        ),
+        (
+            r#"{"type": "ashikhmin_shirley", "diffuse": [1, 0, 0], "specular": [0.5, 0.5, 0.5], "exponent_u": 10, "exponent_v": 1000}"#,
+            r#"{"model": "ashikhmin_shirley", "diffuse": [1, 0, 0], "specular": [0.5, 0.5, 0.5], "exponent_u": 10, "exponent_v": 1000}"#,
+        ),
+        (
+            r#"{"type": "cook_torrance", "alpha_x": 0.1, "alpha_y": 0.2, "f0": [0.9, 0.7, 0.3]}"#,
+            r#"{"model": "cook_torrance", "alpha_x": 0.1, "alpha_y": 0.2, "f0": [0.9, 0.7, 0.3]}"#,
+        ),
+        (
+            r#"{"type": "ward", "diffuse": [0, 0, 0], "specular": [1, 1, 1], "alpha_x": 0.1, "alpha_y": 0}"#,
+            r#"{"model": "ward", "diffuse": [0, 0, 0], "specular": [1, 1, 1], "alpha_x": 0.1, "alpha_y": 0}"#,
+        ),
+        (
+            r#"{"type": "lafortune", "diffuse": [0, 0, 0], "lobes": [{"reflectance": [1, 1, 1], "direction": [-1, -1, 0.9], "exponent": 8}]}"#,
+            r#"{"model": "lafortune", "diffuse": [0, 0, 0], "lobes": [{"reflectance": [1, 1, 1], "direction": [-1, -1, 0.9], "exponent": 8}]}"#,
+        ),
+    ] {
+        let expected: AnalyticBrdf = serde_json::from_str(parameters).unwrap();
+        assert_eq!(with_material(written).unwrap().materials, [Material::Brdf(expected.into())]);
+    }
+    let measured = with_material(r#"{"type": "measured", "file": "grey.binary"}"#).unwrap();
+    let Material::Brdf(brdf) = &measured.materials[0] else { panic!("a BRDF") };
+    assert!((brdf.eval(Vec3::Z, Vec3::Z).x - 0.1).abs() < 1e-6);
+}
+
+#[test]
+fn a_brdf_out_of_range_is_named_with_its_place() {
+    for (material, expected) in [
+        (
+            r#"{"type": "phong", "diffuse": [0.6, 0, 0], "specular": [0.5, 0, 0], "exponent": 20}"#,
+            "materials.m.specular is [0.5, 0, 0], diffuse + specular of at most 1 in each channel expected: scene.json",
+        ),
+        (
+            r#"{"type": "phong", "diffuse": [0, 0, 0], "specular": [0, 0, 0], "exponent": -1}"#,
+            "materials.m.exponent is -1, a number from 0 to 1e7",
+        ),
+        (r#"{"type": "ward", "diffuse": [0, 0, 0], "specular": [0, 0, 0], "alpha_x": 0.1}"#, "materials.m has no \"alpha_y\""),
+        (
+            r#"{"type": "ward", "diffuse": [0, 0, 2], "specular": [0, 0, 0], "alpha_x": 1, "alpha_y": 1}"#,
+            "materials.m.diffuse is [0, 0, 2]",
+        ),
+        (
+            r#"{"type": "lafortune", "diffuse": [0, 0, 0], "lobes": [{"reflectance": [1, 1, 1], "direction": [0, 0, 0], "exponent": 8}]}"#,
+            "materials.m.lobes[0].direction is [0, 0, 0], three finite numbers, not all 0 expected",
+        ),
+        (r#"{"type": "glossy"}"#, "materials.m.type is \"glossy\", \"diffuse\", \"mirror\""),
+        (r#"{"type": "measured", "file": "short.binary"}"#, "table has 1000 bytes, 34992012 expected: short.binary"),
+        (r#"{"type": "measured", "file": "../grey.binary"}"#, "path may not leave the scene's folder"),
+    ] {
+        let error = with_material(material).unwrap_err().to_string();
+        assert!(error.contains(expected), "{error}");
+    }
 }
 
 #[test]

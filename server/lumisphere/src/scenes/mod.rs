@@ -7,7 +7,7 @@
 //!
 //! | key | value |
 //! | --- | --- |
-//! | `materials.NAME` | `{type: "diffuse", albedo: [r,g,b] or albedo_texture: file}` · `{type: "mirror", reflectance}` · `{type: "ggx", alpha, reflectance}`. Textures: v runs up, repeat, bilinear; PNG and JPEG are sRGB, EXR and .hdr linear |
+//! | `materials.NAME` | `{type: "diffuse", albedo: [r,g,b] or albedo_texture: file}` · `{type: "mirror", reflectance}` · `{type: "ggx", alpha, reflectance}`; + `"phong"`, `"ashikhmin_shirley"`, `"cook_torrance"`, `"ward"`, `"lafortune"` with the keys of `radiometry::brdf::BrdfParameters`, `{type: "measured", file}` (MERL's binary tables); +X of an anisotropic one lies along the texture's u. Textures: v runs up, repeat, bilinear; PNG and JPEG are sRGB, EXR and .hdr linear |
 //! | `objects[]` | `name`, one geometry, `material`; `emission` [r,g,b]: radiance of a one-sided light, front = where normals point |
 //! | ` mesh` | OBJ file; + without `material` it is cut into objects `name/part` by its own MTL. `triangles`, where given, must be its count |
 //! | ` patches` + | `"builtin:teapot"`, `"builtin:teacup"`, `"builtin:teaspoon"` or a `.bpt` file (`up_axis` "+Y" or "+Z"); `first_patches` n; `tessellation` `{per_edge: n}` or `{max_edge: length}` |
@@ -27,6 +27,7 @@ mod files;
 mod json;
 #[cfg(test)]
 mod loading_tests;
+mod materials;
 mod model;
 mod noise;
 mod objects;

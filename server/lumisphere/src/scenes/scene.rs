@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::geometry::{BezierPatch, Camera, TriangleMesh};
 use crate::images::Image;
+use crate::radiometry::brdf::BrdfModel;
 
 /// Geometry, materials, light and cameras.
 #[derive(Debug, Clone)]
@@ -76,6 +77,8 @@ pub enum Material {
         /// In [0, 1] per channel.
         reflectance: Vec3,
     },
+    /// Any other; +X of its tangent frame lies along the texture's u.
+    Brdf(BrdfModel),
 }
 
 /// A constant will do for most surfaces.
@@ -184,7 +187,7 @@ impl Scene {
         match &self.materials[material] {
             Material::Diffuse { albedo: Albedo::Constant(albedo) } => Some(*albedo),
             Material::Diffuse { albedo: Albedo::Texture(t) } => Some(self.textures[*t].sample(u, v)),
-            Material::Mirror { .. } | Material::Ggx { .. } => None,
+            Material::Mirror { .. } | Material::Ggx { .. } | Material::Brdf(_) => None,
         }
     }
 }

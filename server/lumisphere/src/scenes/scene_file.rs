@@ -12,8 +12,8 @@ use super::environment::{self, Layout};
 use super::error::SceneError;
 use super::files::{Recorder, SceneBundle, SceneFiles};
 use super::json::{Fields, Json, Node};
-use super::objects;
-use super::scene::{Albedo, Environment, EnvironmentMap, Material, NamedCamera, PointLight, Scene};
+use super::scene::{Environment, EnvironmentMap, NamedCamera, PointLight, Scene};
+use super::{materials, objects};
 use crate::geometry::{Camera, Intrinsics, Pose};
 use crate::images::Image;
 
@@ -94,7 +94,7 @@ fn load_json(files: &dyn SceneFiles, path: &str, json: &Json, options: &LoadOpti
         }
     }
     assembly.scene.name = root.optional("name").map_or(Ok("unnamed"), |n| n.text())?.to_owned();
-    materials(&mut assembly, root.optional("materials"))?;
+    materials::add(&mut assembly, root.optional("materials"))?;
     for node in root.required("objects")?.list()? {
         objects::add(&mut assembly, &node)?;
     }
@@ -117,38 +117,6 @@ fn load_json(files: &dyn SceneFiles, path: &str, json: &Json, options: &LoadOpti
 fn expect_text(fields: &Fields, key: &'static str, only: &str) -> Result<(), SceneError> {
     let node = fields.required(key)?;
     if node.text()? == only { Ok(()) } else { Err(node.wrong(format!("{only:?}"))) }
-}
-
-fn materials(assembly: &mut Assembly, node: Option<Node>) -> Result<(), SceneError> {
-    for (name, node) in node.map_or(Ok(Vec::new()), |n| n.named())? {
-        let fields = node.fields()?;
-        let kind = fields.required("type")?;
-        let reflectance = || fields.required("reflectance").and_then(|n| n.reflectance());
-        let material = match kind.text()? {
-            "diffuse" => Material::Diffuse { albedo: albedo(assembly, &fields)? },
-            "mirror" => Material::Mirror { reflectance: reflectance()? },
-            "ggx" => {
-                let alpha = fields.required("alpha")?;
-                let alpha = alpha.length().ok().filter(|a| *a <= 1.0).ok_or_else(|| alpha.wrong("a roughness above 0, at most 1"))?;
-                Material::Ggx { alpha, reflectance: reflectance()? }
-            }
-            _ => return Err(kind.wrong("\"diffuse\", \"mirror\" or \"ggx\"")),
-        };
-        fields.finish()?;
-        assembly.add_material(name, material);
-    }
-    Ok(())
-}
-
-fn albedo(assembly: &mut Assembly, fields: &Fields) -> Result<Albedo, SceneError> {
-    match (fields.optional("albedo"), fields.optional("albedo_texture")) {
-        (Some(constant), None) => Ok(Albedo::Constant(constant.reflectance()?)),
-        (None, Some(texture)) => {
-            let path = assembly.beside(texture.text()?);
-            assembly.texture(&path, Vec3::ONE, &texture)
-        }
-        _ => Err(fields.node().wrong("a diffuse material with either \"albedo\" or \"albedo_texture\"")),
-    }
 }
 
 fn light(assembly: &mut Assembly, node: &Node, index: usize) -> Result<(), SceneError> {

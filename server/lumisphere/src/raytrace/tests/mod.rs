@@ -4,6 +4,7 @@ mod appearances;
 mod box_room;
 mod closed_forms;
 mod geometry;
+mod glossy;
 mod light_alone;
 mod packets;
 mod robustness;
