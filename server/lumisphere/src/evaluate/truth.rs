@@ -1,4 +1,4 @@
-//! Path-traced images to compare with, of three kinds.
+//! Path-traced images to compare with: of three kinds, and of any BRDF.
 
 use std::collections::BTreeMap;
 
@@ -8,6 +8,7 @@ use serde::Serialize;
 use crate::geometry::Camera;
 use crate::images::Image;
 use crate::progress::{Cancelled, Progress};
+use crate::radiometry::brdf::BrdfModel;
 use crate::raytrace::{Appearance, TraceError, TraceSettings, Tracer};
 use crate::representations::Settings;
 use crate::scenes::Scene;
@@ -55,6 +56,7 @@ pub struct TruthRenderer {
 /// The truths of one view.
 pub struct ViewTruth {
     images: BTreeMap<Truth, Image>,
+    glossy: Vec<(BrdfModel, Image)>,
     /// Pixels that count: one fold of the object fills them and their eight neighbours.
     pub mask: Vec<bool>,
     object: Vec<bool>,
@@ -81,15 +83,30 @@ impl TruthRenderer {
         let mut images = BTreeMap::new();
         for truth in [Truth::Diffuse].iter().chain(wanted) {
             if !images.contains_key(truth) {
-                let width = all.radiance.width;
-                let shows_object = |column, row| object[row * width + column];
-                let traced = self.with(*truth).render_where(&shows_object, camera, trace, progress)?;
-                let mut image = all.radiance.clone();
-                (0..object.len()).filter(|i| object[*i]).for_each(|i| image.set_rgb(i, traced.radiance.rgb(i)));
-                images.insert(*truth, image);
+                images.insert(*truth, trace_object(&self.with(*truth), &object, &all.radiance, camera, trace, progress)?);
             }
         }
-        Ok(ViewTruth { images, mask, object })
+        Ok(ViewTruth { images, glossy: Vec::new(), mask, object })
+    }
+
+    /// Adds to `view`, which `camera` sees, the truth of every BRDF in `brdfs` that it does not hold: one reflection by the BRDF, its diffuse
+    /// part included, over the diffuse scene.
+    pub fn add_glossy(
+        &self,
+        view: &mut ViewTruth,
+        camera: &Camera,
+        brdfs: &[BrdfModel],
+        trace: &TraceSettings,
+        progress: &dyn Progress,
+    ) -> Result<(), Cancelled> {
+        for brdf in brdfs {
+            if view.glossy(brdf).is_none() {
+                let tracer = self.tracer.with_appearance(self.object, Appearance::OneGlossy { brdf: brdf.clone() });
+                let image = trace_object(&tracer, &view.object, &view.images[&Truth::Diffuse], camera, trace, progress)?;
+                view.glossy.push((brdf.clone(), image));
+            }
+        }
+        Ok(())
     }
 
     fn with(&self, truth: Truth) -> Tracer {
@@ -97,7 +114,28 @@ impl TruthRenderer {
     }
 }
 
+/// `around` with the pixels of the object traced.
+fn trace_object(
+    tracer: &Tracer,
+    object: &[bool],
+    around: &Image,
+    camera: &Camera,
+    trace: &TraceSettings,
+    progress: &dyn Progress,
+) -> Result<Image, Cancelled> {
+    let shows_object = |column, row| object[row * around.width + column];
+    let traced = tracer.render_where(&shows_object, camera, trace, progress)?;
+    let mut image = around.clone();
+    (0..object.len()).filter(|i| object[*i]).for_each(|i| image.set_rgb(i, traced.radiance.rgb(i)));
+    Ok(image)
+}
+
 impl ViewTruth {
+    /// What a frame should look like whose object reflects by `brdf`; around the object always the diffuse scene. None unless it was added.
+    pub fn glossy(&self, brdf: &BrdfModel) -> Option<&Image> {
+        self.glossy.iter().find(|(known, _)| known == brdf).map(|(_, image)| image)
+    }
+
     /// What a frame with `settings` should look like: the diffuse part, the reflected part times C_s, or their sum on the object;
     /// around the object always the diffuse scene. `truth` was among those wanted.
     pub fn reference(&self, settings: &Settings, truth: Truth) -> Image {
@@ -138,7 +176,55 @@ fn smoothly_joined((x, n): (Vec3, Vec3), (y, m): (Vec3, Vec3)) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use glam::Vec2;
+
     use super::*;
+    use crate::progress::Unattended;
+    use crate::radiometry::brdf::{CookTorrance, Lambert};
+    use crate::scenes::{LoadOptions, SceneBundle, load};
+
+    /// A ball over a black floor, in uneven light.
+    fn ball() -> (Scene, Camera) {
+        let json = br#"{"format": "neutral-scene/1",
+            "materials": {"grey": {"type": "diffuse", "albedo": [0.6, 0.4, 0.2]}, "black": {"type": "diffuse", "albedo": [0, 0, 0]}},
+            "objects": [
+                {"name": "floor", "shape": {"type": "rect", "corner": [-9, -1, 9], "edge_u": [18, 0, 0], "edge_v": [0, 0, -18]}, "material": "black"},
+                {"name": "ball", "shape": {"type": "sphere", "center": [0, 0, 0], "radius": 1, "segments": 48}, "material": "grey"}],
+            "lights": [{"type": "disc", "center": [2, 3, 2], "normal": [-1, -1, -1], "radius": 0.8, "radiance": [9, 9, 9]}],
+            "environment": {"radiance": [0.5, 0.5, 0.5]},
+            "cameras": [{"name": "a", "origin": [0, 1, 5], "target": [0, 0, 0], "vfov_deg": 25, "width": 24, "height": 24}]}"#;
+        let mut files = SceneBundle::default();
+        files.insert("scene.json", json.to_vec()).unwrap();
+        let scene = load(&files, "scene.json", &LoadOptions::as_written()).unwrap();
+        let camera = scene.cameras[0].camera;
+        (scene, camera)
+    }
+
+    fn mean(image: &Image, mask: &[bool]) -> Vec3 {
+        let count = mask.iter().filter(|m| **m).count() as f32;
+        (0..mask.len()).filter(|i| mask[*i]).map(|i| Vec3::from(image.rgb(i))).sum::<Vec3>() / count
+    }
+
+    #[test]
+    fn a_glossy_truth_is_the_diffuse_one_for_lambert_and_the_mirrors_for_the_smoothest() {
+        let (scene, camera) = ball();
+        let renderer = TruthRenderer::new(&scene, scene.object("ball").unwrap()).unwrap();
+        let trace = TraceSettings { samples_per_pixel: 64, max_bounces: 2, seed: 3 };
+        let mut view = renderer.view(&camera, &[Truth::OneReflection], &trace, &Unattended).unwrap();
+        let lambert: BrdfModel = Lambert::new(Vec3::new(0.6, 0.4, 0.2)).unwrap().into();
+        let smooth: BrdfModel = CookTorrance::new(Vec2::splat(1e-4), Vec3::ONE, Vec3::ONE).unwrap().into();
+        renderer.add_glossy(&mut view, &camera, &[lambert.clone(), smooth.clone(), lambert.clone()], &trace, &Unattended).unwrap();
+        assert_eq!(view.glossy.len(), 2);
+        for (brdf, truth) in [(lambert, Truth::Diffuse), (smooth, Truth::OneReflection)] {
+            let (glossy, expected) = (view.glossy(&brdf).unwrap(), &view.images[&truth]);
+            // 200 pixels of 64 paths: 1 % of the mean in noise.
+            let ratio = mean(glossy, &view.mask) / mean(expected, &view.mask);
+            assert!((ratio - 1.0).abs().max_element() < 0.03, "{truth:?}: {ratio}");
+            let around = (0..view.object.len()).filter(|i| !view.object[*i]);
+            around.for_each(|i| assert_eq!(glossy.rgb(i), expected.rgb(i)));
+        }
+        assert!(view.glossy(&Lambert::new(Vec3::ONE).unwrap().into()).is_none());
+    }
 
     #[test]
     fn only_pixels_with_eight_neighbours_on_the_same_fold_count() {
