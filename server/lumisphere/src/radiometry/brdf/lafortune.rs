@@ -57,7 +57,7 @@ impl Lafortune {
     }
 
     /// Probability of each lobe; the rest is the diffuse part's.
-    fn shares(&self) -> [f32; Self::MOST_LOBES] {
+    pub(super) fn shares(&self) -> [f32; Self::MOST_LOBES] {
         let weights = self.lobes.map(|lobe| lobe.reflectance.max_element());
         let total = weights.iter().sum::<f32>() + self.diffuse.max_element();
         if total > 0.0 { weights.map(|w| w / total) } else { weights }

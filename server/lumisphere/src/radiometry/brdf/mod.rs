@@ -2,7 +2,7 @@
 //!
 //! Called by the path tracer and by renderers that integrate stored light. Directions are unit vectors in the tangent frame, away from the
 //! point: +Z is the normal, +X and +Y the tangents that anisotropy refers to. Values are per steradian and *without* the cosine. All is
-//! f32, without recursion or tables (the measured one aside), so that each model can have a WGSL twin.
+//! f32, without recursion or tables (the measured one aside): `brdf.wgsl` is the twin of all analytic models.
 //!
 //! | model | source | parameters |
 //! | --- | --- | --- |
@@ -19,6 +19,8 @@
 
 mod ashikhmin_shirley;
 mod cook_torrance;
+#[cfg(all(test, feature = "gpu"))]
+pub(crate) mod gpu_equals_cpu_tests;
 mod lafortune;
 mod lambert;
 mod lobes;
@@ -27,6 +29,7 @@ mod parameters;
 mod phong;
 #[cfg(test)]
 mod tests;
+mod uniform;
 mod ward;
 
 use std::sync::Arc;
@@ -43,6 +46,7 @@ pub(crate) use lobes::cosine_hemisphere;
 pub use measured::{MEASURED_SHAPE, Measured};
 pub use parameters::BrdfParameters;
 pub use phong::Phong;
+pub use uniform::{BrdfUniform, LobeUniform};
 pub use ward::Ward;
 
 /// A reflectance distribution with the means to sample it. `wo` (toward the viewer) and `wi` (toward the light) are unit, tangent space.

@@ -25,7 +25,7 @@ impl Phong {
         Ok(Self { diffuse, specular, exponent: exponent("exponent", exponent_n)? })
     }
 
-    fn specular_share(&self) -> f32 {
+    pub(super) fn specular_share(&self) -> f32 {
         share_of_second(self.diffuse, self.specular)
     }
 }

@@ -40,7 +40,7 @@ impl Ward {
         Vec3::new(self.alpha.x * radius * cos, self.alpha.y * radius * sin, 1.0).normalize()
     }
 
-    fn specular_share(&self) -> f32 {
+    pub(super) fn specular_share(&self) -> f32 {
         share_of_second(self.diffuse, self.specular)
     }
 }
