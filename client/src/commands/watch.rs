@@ -97,7 +97,7 @@ async fn follow_once(
             JobState::Succeeded | JobState::Failed | JobState::Cancelled => return Ok(Some(job)),
             JobState::Pending => meter.update(Progress { stage: "waiting", done: 0, total: 0, seconds_left: None }),
             _ => meter.update(Progress {
-                stage: &progress.stage,
+                stage: if progress.stage.is_empty() { "starting" } else { &progress.stage },
                 done: progress.done,
                 total: progress.total,
                 seconds_left: progress.seconds_left,

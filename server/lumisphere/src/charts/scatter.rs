@@ -32,7 +32,7 @@ pub struct Panel {
     pub title: String,
     /// Quantity and unit along the horizontal, logarithmic axis.
     pub x_label: String,
-    /// The same along the vertical one, which begins at 0.
+    /// The same along the vertical one, which begins at 0 unless all points lie far above it.
     pub y_label: String,
     /// The points.
     pub marks: Vec<Mark>,
@@ -68,6 +68,8 @@ const LEAST_HEIGHT_PX: u32 = 440;
 const GREATEST_RADIUS_PX: f64 = 17.0;
 /// A mark of nothing is still seen.
 const LEAST_RADIUS_PX: f64 = 3.0;
+/// Of the greatest value: where the least is above, the lower part of a panel would be empty.
+const FAR_ABOVE_0: f64 = 0.6;
 const LINE_PX: f64 = 19.0;
 const TEXT_PX: f64 = 13.0;
 const SMALL_TEXT_PX: f64 = 11.5;
@@ -96,8 +98,9 @@ impl Panel {
     fn ranges(&self) -> Option<(Range<f64>, Range<f64>)> {
         let (x, y) = (extent(self.drawn().map(|m| m.x))?, extent(self.drawn().map(|m| m.y))?);
         let margin = (x.end / x.start).powf(0.1).max(1.12);
-        let top = if y.end > 0.0 { 1.12 * y.end } else { 1.0 };
-        Some((x.start / margin..x.end * margin, 0.0..top))
+        let bottom = if y.start > FAR_ABOVE_0 * y.end { y.start - 0.3 * (y.end - y.start) - 0.05 * y.end } else { 0.0 };
+        let top = if y.end > 0.0 { y.end + 0.12 * (y.end - bottom) } else { 1.0 };
+        Some((x.start / margin..x.end * margin, bottom..top))
     }
 }
 
@@ -109,7 +112,7 @@ impl Scatter {
 
     fn panel_height_px(&self, panel: &Panel) -> u32 {
         // The legend's lines: series, areas with their heading, front with its heading and two lines a point.
-        let lines = self.series_of(panel).len() as f64 + 2.6 + 1.6 * self.sizes.len() as f64 + 1.6 + 2.0 * panel.front().len() as f64;
+        let lines = self.series_of(panel).len() as f64 + 2.6 + 2.0 * self.sizes.len() as f64 + 1.6 + 2.0 * panel.front().len() as f64;
         LEAST_HEIGHT_PX.max((60.0 + lines * LINE_PX) as u32)
     }
 
@@ -235,11 +238,11 @@ impl Scatter {
             pen.write(&self.series[series], text_left, TEXT_PX, &INK, 1.0)?;
         }
         pen.y += 0.6 * LINE_PX;
-        pen.write(&self.size_label, px(8.0), TEXT_PX, &INK, 1.3)?;
+        pen.write(&self.size_label, px(8.0), TEXT_PX, &INK, 1.5)?;
         for key in &self.sizes {
             let circle = Circle::new((mark_at, px(pen.y)), px(self.radius_px(key.size)), GREY.stroke_width(px(1.0) as u32));
             area.draw(&circle)?;
-            pen.write(&key.text, text_left, TEXT_PX, &INK, 1.6)?;
+            pen.write(&key.text, text_left, TEXT_PX, &INK, 2.0)?;
         }
         pen.y += 0.6 * LINE_PX;
         area.draw(&PathElement::new([(px(8.0), px(pen.y)), (px(36.0), px(pen.y))], GREY.stroke_width(px(1.5) as u32)))?;
@@ -379,6 +382,15 @@ mod tests {
             assert!(text.contains(part), "no {part} in {text}");
         }
         assert!(!text.contains("unused"), "a series without a point is in the legend");
+    }
+
+    #[test]
+    fn the_vertical_axis_begins_at_0_unless_all_points_are_far_above() {
+        let bottom =
+            |least: f64| scatter(vec![mark(1.0, least, 1.0, 0, None), mark(2.0, 10.0, 1.0, 0, None)]).panels[0].ranges().unwrap().1;
+        assert_eq!(bottom(5.0).start, 0.0);
+        assert!(bottom(8.0).start > 6.0 && bottom(8.0).start < 8.0 && bottom(8.0).end > 10.0);
+        assert!(bottom(10.0).start < 10.0);
     }
 
     #[test]

@@ -114,7 +114,10 @@ impl Page<'_> {
         let pairs = [
             ("Rows", format!("{} of {} datasets ({} together)", self.sweep.rows.len(), datasets.len(), bytes_text(bytes))),
             ("Views", format!("{} held-out views{size}", c.views)),
-            ("Truth", format!("path-traced, {} paths a pixel", c.truth_samples_per_pixel)),
+            (
+                "Truth",
+                format!("path-traced, {} paths a pixel of the object (fewer around it, where nothing counts)", c.truth_samples_per_pixel),
+            ),
             ("Time", format!("{} frames a view after one that does not count", c.timed_frames_per_view)),
             ("Renderer", format!("{}; lumisphere-server {}", c.adapter.as_deref().unwrap_or("CPU"), c.server)),
             ("Chart", format!("{}, against the median time of a frame", metric.label())),
