@@ -13,5 +13,5 @@ pub use camera::{Camera, CameraError, Intrinsics};
 pub use pose::{Pose, PoseError};
 pub use ray::Ray;
 pub use subdivision::subdivide;
-pub use tangent_frame::TangentFrame;
+pub use tangent_frame::{TangentFrame, tangent_along_u};
 pub use triangle_mesh::{MeshError, TriangleMesh};

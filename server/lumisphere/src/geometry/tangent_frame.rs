@@ -1,6 +1,6 @@
 //! Orthonormal basis around a normal, for shading and sampling.
 
-use glam::Vec3;
+use glam::{Vec2, Vec3};
 
 /// Right-handed orthonormal basis `(tangent, bitangent, normal)`.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -46,6 +46,14 @@ impl TangentFrame {
     }
 }
 
+/// Direction in which u grows over a triangle (∂p/∂u up to a factor above zero): what the +X of anisotropic reflection lies along. Zero
+/// where its texture coordinates span no area.
+pub fn tangent_along_u([a, b, c]: [Vec3; 3], [at_a, at_b, at_c]: [Vec2; 3]) -> Vec3 {
+    let (to_b, to_c) = (at_b - at_a, at_c - at_a);
+    let turn = to_b.perp_dot(to_c);
+    if turn == 0.0 { Vec3::ZERO } else { ((b - a) * to_c.y - (c - a) * to_b.y) * turn.signum() }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -60,6 +68,18 @@ mod tests {
             let v = Vec3::new(0.3, -0.5, 0.7);
             assert!((f.world_from_local(f.local_from_world(v)) - v).length() < 1e-6);
         }
+    }
+
+    #[test]
+    fn u_grows_along_the_tangent_of_a_triangle_wound_either_way() {
+        // p(u, v) = 2u · X + v · (Y + Z): ∂p/∂u = 2X.
+        let at = [Vec2::new(0.2, 0.1), Vec2::new(0.9, 0.3), Vec2::new(0.4, 0.8)];
+        let position = |at: Vec2| 2.0 * at.x * Vec3::X + at.y * (Vec3::Y + Vec3::Z);
+        for order in [[0, 1, 2], [0, 2, 1]] {
+            let uvs = order.map(|i| at[i]);
+            assert!((tangent_along_u(uvs.map(position), uvs).normalize() - Vec3::X).length() < 1e-6);
+        }
+        assert_eq!(tangent_along_u(at.map(position), [Vec2::ONE; 3]), Vec3::ZERO);
     }
 
     #[test]

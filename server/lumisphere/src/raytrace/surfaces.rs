@@ -3,7 +3,7 @@
 use glam::{Vec2, Vec3};
 
 use super::traverse::RawHit;
-use crate::geometry::TriangleMesh;
+use crate::geometry::{TriangleMesh, tangent_along_u};
 use crate::radiometry::brdf::{BrdfModel, CookTorrance, directional_albedo};
 use crate::scenes::{Albedo, Material, Scene, Texture};
 
@@ -88,12 +88,9 @@ impl SurfaceTriangle {
         a + u * (b - a) + v * (c - a)
     }
 
-    /// Direction in which the texture's u grows (∂p/∂u up to a factor above zero); zero where texture coordinates say nothing.
+    /// Direction in which the texture's u grows, any length.
     pub fn tangent(&self) -> Vec3 {
-        let ([a, b, c], [at_a, at_b, at_c]) = (self.corners, self.uvs);
-        let (to_b, to_c) = (at_b - at_a, at_c - at_a);
-        let turn = to_b.perp_dot(to_c);
-        if turn == 0.0 { Vec3::ZERO } else { ((b - a) * to_c.y - (c - a) * to_b.y) * turn.signum() }
+        tangent_along_u(self.corners, self.uvs)
     }
 
     /// Area in squared scene units.

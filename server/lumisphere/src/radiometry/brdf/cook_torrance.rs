@@ -45,7 +45,7 @@ impl CookTorrance {
     /// A facet's normal as seen from `wo`, density G₁(wo) max(0, wo·m) D(m) / wo.z.
     #[inline]
     fn sample_facet(&self, wo: Vec3, u: Vec2) -> Vec3 {
-        // In the space where the facets form a hemisphere, those seen reflect into a cap around −wo's complement.
+        // Stretched until the facets form a hemisphere, what they mirror `wo` to covers the sphere above −wo.z evenly.
         let stretched = Vec3::new(self.alpha.x * wo.x, self.alpha.y * wo.y, wo.z).normalize();
         let z = (1.0 - u.y) * (1.0 + stretched.z) - stretched.z;
         let radius = (1.0 - z * z).max(0.0).sqrt();

@@ -158,8 +158,9 @@ fn no_white_surface_reflects_more_than_arrives() {
         for theta in ANGLES {
             for phi in [0.0, 0.7, FRAC_PI_2] {
                 let albedo = directional_albedo(&brdf, direction(theta, phi), 4096).max_element();
-                // The lattice of 4096 samples is off by 10⁻³ where the horizon cuts the lobe; a table is as coarse as its cells.
-                let bound = if name == "measured" { 1.05 } else { 1.005 };
+                // The lattice of 4096 samples is off by 10⁻³ where the horizon cuts the lobe (with 65536 the largest is Ward's 1.00005 at the
+                // horizon, where 1 is its limit); a table is as coarse as its cells.
+                let bound = if name == "measured" { 1.05 } else { 1.002 };
                 assert!(albedo <= bound, "{name} at {theta}, {phi}: {albedo}");
             }
         }
@@ -213,9 +214,9 @@ fn nothing_is_negative_infinite_or_nan_at_any_angle() {
                         assert!(pdf > 0.0 && pdf.is_finite() && wi.z > HORIZON, "{name} from {wo} with {u}: {wi}, pdf {pdf}");
                         assert!((wi.length() - 1.0).abs() < 1e-4, "{name}: {wi}");
                         look(wo, wi);
-                        // What a path is weighted with: no fireflies.
+                        // What a path is weighted with: no fireflies. Ward's reach 2, those of a table less than 3.
                         let weight = (brdf.eval(wo, wi) * (wi.z / pdf)).max_element();
-                        assert!(weight < 20.0, "{name} from {wo} with {u}: weight {weight}");
+                        assert!(weight < 5.0, "{name} from {wo} with {u}: weight {weight}");
                     }
                 }
             }
