@@ -3,7 +3,7 @@
 use plotters::coord::Shift;
 use plotters::prelude::*;
 
-use super::{COLORS, ChartError, FAINT_GRID, FONT, Figure, dots, extent, number};
+use super::{COLORS, ChartError, FONT, Figure, GRID, dots, extent, logarithmic_ticks, number};
 
 /// Lines over two logarithmic axes.
 pub struct LineChart<'a> {
@@ -50,20 +50,23 @@ impl Figure for LineChart<'_> {
         let (Some(x), Some(y)) = (self.range(|p| p.0), self.range(|p| p.1)) else { return Ok(()) };
         let px = |pixels| dots(pixels, scale);
         let letters = (FONT, px(12.0));
+        let (x_ticks, y_ticks) = (logarithmic_ticks(&x), logarithmic_ticks(&y));
         let mut context = ChartBuilder::on(area)
             .caption(self.title, (FONT, px(20.0)))
             .margin(px(12.0))
             .x_label_area_size(px(44.0))
             .y_label_area_size(px(70.0))
-            .build_cartesian_2d(x.log_scale(), y.log_scale())?;
+            .build_cartesian_2d(x.log_scale().with_key_points(x_ticks.clone()), y.log_scale().with_key_points(y_ticks.clone()))?;
         context
             .configure_mesh()
             .x_desc(self.x_label)
             .y_desc(self.y_label)
+            .x_labels(x_ticks.len())
+            .y_labels(y_ticks.len())
+            .bold_line_style(GRID)
             .label_style(letters)
             .x_label_formatter(&number)
             .y_label_formatter(&number)
-            .light_line_style(FAINT_GRID)
             .draw()?;
         for (line, color) in self.lines.iter().zip(COLORS.iter().cycle()) {
             let stroke = color.stroke_width(px(2.0) as u32);
