@@ -12,7 +12,7 @@ pub struct SettingsFlags {
     /// Which term of reconstruction + specular · mirror
     #[arg(long, value_enum, default_value = "reconstruction")]
     pub component: Component,
-    /// Weights of mirror and full: distance, angle, average, reflection:N, normal:N or environment-map
+    /// Weights of mirror and full: distance, angle, average, reflection:N, normal:N, environment-map or corrected
     #[arg(long, default_value = "normal:4")]
     pub blend: Blend,
     /// Specular reflectance, each in 0 to 1
@@ -72,6 +72,8 @@ pub enum Blend {
     Normal(f32),
     /// The baseline.
     EnvironmentMap,
+    /// By the stored distances.
+    Corrected,
 }
 
 impl std::str::FromStr for Blend {
@@ -87,13 +89,16 @@ impl std::str::FromStr for Blend {
                 "reflection" => Some(Self::Reflection(4.0)),
                 "normal" => Some(Self::Normal(4.0)),
                 "environment-map" => Some(Self::EnvironmentMap),
+                "corrected" => Some(Self::Corrected),
                 _ => None,
             },
             Some(("reflection", n)) => exponent(n).map(Self::Reflection),
             Some(("normal", n)) => exponent(n).map(Self::Normal),
             Some(_) => None,
         };
-        blend.ok_or_else(|| "distance, angle, average, reflection:N, normal:N (N 0 to 10000) or environment-map expected".to_string())
+        blend.ok_or_else(|| {
+            "distance, angle, average, reflection:N, normal:N (N 0 to 10000), environment-map or corrected expected".to_string()
+        })
     }
 }
 
@@ -113,6 +118,7 @@ pub fn settings(component: Component, blend: Blend, specular: [f32; 3], filter: 
         Blend::Reflection(n) => (WireBlend::Reflection, Some(n)),
         Blend::Normal(n) => (WireBlend::Normal, Some(n)),
         Blend::EnvironmentMap => (WireBlend::EnvironmentMap, None),
+        Blend::Corrected => (WireBlend::Corrected, None),
     };
     let component = match component {
         Component::Reconstruction => WireComponent::Reconstruction,

@@ -36,7 +36,7 @@ pub struct EvaluateFlags {
     #[arg(long, value_enum, value_delimiter = ',', default_value = "reconstruction,mirror")]
     components: Vec<Component>,
     /// Blends to evaluate for mirror and full, separated by commas
-    #[arg(long, value_delimiter = ',', default_value = "distance,angle,average,reflection:4,normal:4,environment-map")]
+    #[arg(long, value_delimiter = ',', default_value = "distance,angle,average,reflection:4,normal:4,corrected,environment-map")]
     blends: Vec<Blend>,
     /// Specular reflectance, each in 0 to 1
     #[arg(long, value_name = "R,G,B", value_parser = parse_vec3, default_value = "1,1,1")]
@@ -128,11 +128,14 @@ impl EvaluateFlags {
         })
     }
 
-    /// Reconstruction has no blend, so it is evaluated once.
+    /// Reconstruction has no blend, so it is evaluated once, and corrected if that is asked for.
     fn settings(&self) -> Vec<wire::RenderSettings> {
         let one = |component, blend, filter| settings(component, blend, self.specular, filter, self.backend);
         let of = |component: Component, filter: Filter| match component {
-            Component::Reconstruction => vec![one(component, Blend::Distance, filter)],
+            Component::Reconstruction => {
+                let corrected = self.blends.iter().copied().filter(|blend| *blend == Blend::Corrected);
+                std::iter::once(Blend::Distance).chain(corrected).map(|blend| one(component, blend, filter)).collect::<Vec<_>>()
+            }
             Component::Mirror | Component::Full => self.blends.iter().map(|&blend| one(component, blend, filter)).collect(),
         };
         self.filters.iter().flat_map(|&filter| self.components.iter().flat_map(move |&component| of(component, filter))).collect()

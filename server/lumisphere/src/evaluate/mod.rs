@@ -143,7 +143,7 @@ pub fn evaluate<E: std::error::Error>(
 
 // What a setting is compared with: what shows no reflection has one truth only.
 fn truths_of(settings: &Settings, plan: &Plan) -> Vec<Truth> {
-    if settings.name().blend.is_none() { vec![Truth::Diffuse] } else { plan.mirror_truths.clone() }
+    if settings.reflection().is_none() { vec![Truth::Diffuse] } else { plan.mirror_truths.clone() }
 }
 
 // Names for files, unique among the settings: those that differ in nothing that is named (reflectance, backend) are numbered.

@@ -59,7 +59,7 @@ pub enum Settings {
 pub struct SettingName {
     /// `reconstruction`, `mirror`, `full`.
     pub component: &'static str,
-    /// `distance`, `angle`, `average`, `reflection`, `normal`, `environment_map`; none where nothing is reflected.
+    /// `distance`, `angle`, `average`, `reflection`, `normal`, `environment_map`, `corrected`; of a reconstruction only the last.
     pub blend: Option<&'static str>,
     /// N of `reflection` and `normal`.
     pub exponent: Option<f32>,
@@ -81,7 +81,8 @@ impl Settings {
     pub fn name(&self) -> SettingName {
         match self {
             Self::OffsetSurfaceLightField(s) => {
-                let blend = (s.component != oslf::Component::Reconstruction).then_some(s.blend);
+                let has_blend = s.component != oslf::Component::Reconstruction || s.blend == oslf::Blend::Corrected;
+                let blend = has_blend.then_some(s.blend);
                 let exponent = blend.and_then(oslf::Blend::exponent);
                 SettingName { component: s.component.name(), blend: blend.map(oslf::Blend::name), exponent, filter: s.filter.name() }
             }
@@ -244,6 +245,11 @@ pub enum RenderError {
     #[cfg(feature = "gpu")]
     #[error(transparent)]
     Gpu(#[from] GpuError),
+    /// Requests of such a frame cannot be recorded.
+    #[error(
+        "which texels depth-corrected reads ask for depends on what is stored; to record a frame another blend than corrected is expected"
+    )]
+    DependsOnPages,
     /// The GPU was asked for where there is none.
     #[error("no GPU is in use")]
     NoGpu,

@@ -92,10 +92,12 @@ pub fn check_kind(settings: &Settings, dataset_kind: &str) -> Result<(), ApiErro
 }
 
 fn oslf_settings(message: proto::OffsetSurfaceLightFieldSettings, field: &str) -> Result<oslf::Settings, ApiError> {
+    use proto::offset_surface_light_field_settings::Blend;
     let component = component(message.component, &format!("{field}.component"))?;
     let exponent = within(message.exponent.unwrap_or(DEFAULT_EXPONENT), 0.0, 10_000.0, &format!("{field}.exponent"))?;
     let blend = match component {
-        // Ignored there, so anything will do, nonsense included.
+        // Corrected or not: of others anything will do, nonsense included.
+        oslf::Component::Reconstruction if message.blend == Blend::Corrected as i32 => oslf::Blend::Corrected,
         oslf::Component::Reconstruction => oslf::Blend::Distance,
         oslf::Component::Mirror | oslf::Component::Full => blend(message.blend, exponent, &format!("{field}.blend"))?,
     };
@@ -135,8 +137,9 @@ fn blend(value: i32, exponent: f32, field: &str) -> Result<oslf::Blend, ApiError
         Ok(Blend::Reflection) => Ok(oslf::Blend::Reflection { exponent }),
         Ok(Blend::Normal) => Ok(oslf::Blend::Normal { exponent }),
         Ok(Blend::EnvironmentMap) => Ok(oslf::Blend::EnvironmentMap),
+        Ok(Blend::Corrected) => Ok(oslf::Blend::Corrected),
         Ok(Blend::Unspecified) | Err(_) => {
-            let expected = "DISTANCE, ANGLE, AVERAGE, REFLECTION, NORMAL or ENVIRONMENT_MAP expected";
+            let expected = "DISTANCE, ANGLE, AVERAGE, REFLECTION, NORMAL, ENVIRONMENT_MAP or CORRECTED expected";
             Err(ApiError::field(field, format!("{value}, {expected}")))
         }
     }
@@ -204,6 +207,7 @@ mod tests {
     #[test]
     fn a_reconstruction_needs_no_blend_and_the_exponent_defaults_to_four() {
         assert_eq!(oslf_settings(message(1, 0), "s").unwrap().component, oslf::Component::Reconstruction);
+        assert_eq!(oslf_settings(message(1, 7), "s").unwrap().blend, oslf::Blend::Corrected);
         assert_eq!(oslf_settings(message(2, 5), "s").unwrap().blend, oslf::Blend::Normal { exponent: 4.0 });
         assert_eq!(oslf_settings(message(2, 5), "s").unwrap().specular_reflectance, Vec3::ONE);
         assert_eq!(oslf_settings(message(2, 5), "s").unwrap().filter, oslf::Filter::Footprint);

@@ -24,7 +24,8 @@ pub(crate) const SOURCE: &str = concat!(
     include_str!("../../directions/cube_map.wgsl"),
     include_str!("../../directions/differential.wgsl"),
     include_str!("../../gpu/atlas.wgsl"),
-    include_str!("kernel.wgsl")
+    include_str!("kernel.wgsl"),
+    include_str!("corrected.wgsl")
 );
 
 /// Layout as WGSL's `Shading`.
@@ -298,9 +299,10 @@ fn component_number(component: Component) -> u32 {
     }
 }
 
-// Reconstruction reads no blend: one pipeline serves all.
+// Reconstruction is corrected or not: of its other blends one pipeline serves all.
 fn blend_number(settings: &Settings) -> u32 {
     match settings.blend {
+        Blend::Corrected => 6,
         _ if settings.component == Component::Reconstruction => 0,
         Blend::Distance => 0,
         Blend::Angle => 1,

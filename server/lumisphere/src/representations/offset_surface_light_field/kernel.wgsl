@@ -47,6 +47,7 @@ const AVERAGE: u32 = 2u;
 const REFLECTION: u32 = 3u;
 const NORMAL: u32 = 4u;
 const ENVIRONMENT_MAP: u32 = 5u;
+const CORRECTED: u32 = 6u;
 
 const NO_SAMPLE: u32 = 0xffffu;
 const HIT: u32 = 1u;
@@ -79,7 +80,7 @@ fn provenance_of(answer: u32, sample: u32) -> u32 {
 }
 
 // Of a level: coarse ones are in slots of their own, 4ˡ faces to a slot; finer ones in their face's. Leaves word of a page that was wanted.
-fn cube_texel(cube: u32, texel: CubeTexel, level: u32) -> vec3<f32> {
+fn cube_texel(cube: u32, texel: CubeTexel, level: u32) -> vec4<f32> {
     let face = 6u * cube + texel.face;
     let first = shading.coarse_level;
     let is_coarse = level >= first;
@@ -118,7 +119,7 @@ fn read_level(cube: u32, direction: vec3<f32>, level: u32) -> vec3<f32> {
     for (var number = 0u; number < 4u; number++) {
         let at = corner(position, shading.face_size >> level, number);
         if at.texel.exists {
-            radiance += at.weight * cube_texel(cube, at.texel, level);
+            radiance += at.weight * cube_texel(cube, at.texel, level).rgb;
             sum += at.weight;
         }
     }
@@ -187,6 +188,20 @@ fn element(v: vec4<u32>, k: u32) -> u32 {
     return select(select(select(v.w, v.z, k == 2u), v.y, k == 1u), v.x, k == 0u);
 }
 
+fn component(v: vec4<f32>, k: u32) -> f32 {
+    return select(select(select(v.w, v.z, k == 2u), v.y, k == 1u), v.x, k == 0u);
+}
+
+// Of the angles between n and the directions from x to the candidates' sample points.
+fn cosines_above(x: vec3<f32>, n: vec3<f32>, candidates: vec4<u32>) -> vec4<f32> {
+    return vec4(
+        dot(n, toward_sample(x, candidates.x, n)),
+        dot(n, toward_sample(x, candidates.y, n)),
+        dot(n, toward_sample(x, candidates.z, n)),
+        dot(n, toward_sample(x, candidates.w, n)),
+    );
+}
+
 fn only(k: u32) -> vec4<f32> {
     return select(vec4(0.0), vec4(1.0), vec4(k) == vec4(0u, 1u, 2u, 3u));
 }
@@ -205,18 +220,24 @@ fn reconstruct(at: Sight, across: Sight, down: Sight, candidates: vec4<u32>) -> 
     let x = at.position;
     let n = at.normal;
     let valid = candidates != vec4(NO_SAMPLE);
-    let cosines = vec4(
-        dot(n, toward_sample(x, candidates.x, n)),
-        dot(n, toward_sample(x, candidates.y, n)),
-        dot(n, toward_sample(x, candidates.z, n)),
-        dot(n, toward_sample(x, candidates.w, n)),
-    );
-    let within = first_of(valid & (cosines > vec4(COS_HORIZON)));
+    let is_within = valid & (cosines_above(x, n, candidates) > vec4(COS_HORIZON));
+    let within = first_of(is_within);
     let nearest = first_of(valid);
     if nearest == 4u {
         return Shaded(vec3(0.0), PROVENANCE_UNKNOWN);
     }
-    let candidate = element(candidates, select(within, nearest, within == 4u));
+    var hit = within;
+    if BLEND == CORRECTED {
+        var seen = vec4(false);
+        for (var k = 0u; k < 4u; k++) {
+            let candidate = element(candidates, k);
+            if any(is_within & (vec4(k) == vec4(0u, 1u, 2u, 3u))) && !any(seen) {
+                seen |= vec4(sees(candidate, sample_points[candidate].xyz, x)) & (vec4(k) == vec4(0u, 1u, 2u, 3u));
+            }
+        }
+        hit = first_of(seen);
+    }
+    let candidate = element(candidates, select(select(hit, within, hit == 4u), nearest, within == 4u));
     let p = sample_points[candidate].xyz;
     let distance = length(p - x);
     let per_length = select(0.0, 1.0 / distance, distance > 0.0);
@@ -227,7 +248,7 @@ fn reconstruct(at: Sight, across: Sight, down: Sight, candidates: vec4<u32>) -> 
         short_of_the_horizon(within_the_surface(across) * per_length, cosine),
         short_of_the_horizon(within_the_surface(down) * per_length, cosine),
     );
-    return Shaded(read_cube(candidate, toward_x), provenance_of(select(HIT, FILLED, within == 4u), candidate));
+    return Shaded(read_cube(candidate, toward_x), provenance_of(select(HIT, FILLED, hit == 4u), candidate));
 }
 
 fn mirror_direction(n: vec3<f32>, d: vec3<f32>) -> vec3<f32> {
@@ -338,6 +359,10 @@ fn blend_weights(
 fn mirror(at: Sight, across: Sight, down: Sight, candidates: vec4<u32>) -> Shaded {
     let x = at.position;
     let n = at.normal;
+    if BLEND == CORRECTED {
+        let shaded = corrected(at, across, down, candidates);
+        return Shaded(shading.specular_reflectance * shaded.radiance, shaded.provenance);
+    }
     let r = mirrored(at, across, down);
     if BLEND == ENVIRONMENT_MAP {
         let radiance = shading.specular_reflectance * read_cube(shading.baseline_cube, r);
@@ -363,7 +388,7 @@ fn mirror(at: Sight, across: Sight, down: Sight, candidates: vec4<u32>) -> Shade
         radiance = read_cube(heaviest, r);
     } else {
         for (var k = 0u; k < 4u; k++) {
-            let weight = select(select(select(w.w, w.z, k == 2u), w.y, k == 1u), w.x, k == 0u);
+            let weight = component(w, k);
             if weight > 0.0 {
                 radiance += weight * read_cube(element(candidates, k), r);
             }

@@ -4,6 +4,7 @@
 //! read from them. With x on the surface, n its normal, v the unit vector to the viewer, p a sample point, Lᵢ(p; d) its cube map:
 //! - reconstruction: `L(x) = Lᵢ(p; normalize(x − p))`, p the nearest of the texel's four with `n · normalize(p − x) > cos 65°`;
 //! - mirror: `r = 2 n (n·v) − v`, `ŝⱼ = normalize(pⱼ − x)`, `L(x, v) = Σⱼ βⱼ Lᵢ(pⱼ; r)`, `Σⱼ βⱼ = 1`, βⱼ by [`Blend`];
+//! - mirror, depth-corrected: `Σⱼ βⱼ Lᵢ(pⱼ; x + t·r − pⱼ)`, t where the ray meets a surface by the stored distances (`corrected.rs`);
 //! - full: `reconstruction + C_s · mirror`;
 //! - baseline: one environment map at the object's centre, taken without the object, read with r.
 //!
@@ -15,6 +16,7 @@
 #[cfg(feature = "gpu")]
 mod coarse;
 mod construct;
+mod corrected;
 #[cfg(feature = "gpu")]
 mod kernel;
 mod reference;
@@ -164,6 +166,9 @@ pub enum Blend {
     },
     /// The baseline: the one environment map at the object's centre.
     EnvironmentMap,
+    /// Read toward the point that is reflected, by the stored distances; sample points that see something else there are left out. The
+    /// reconstruction, too, passes over sample points that do not see the surface's point.
+    Corrected,
 }
 
 /// How to render this kind.
@@ -222,6 +227,7 @@ impl Blend {
             Self::Reflection { .. } => "reflection",
             Self::Normal { .. } => "normal",
             Self::EnvironmentMap => "environment_map",
+            Self::Corrected => "corrected",
         }
     }
 
@@ -229,7 +235,7 @@ impl Blend {
     pub fn exponent(self) -> Option<f32> {
         match self {
             Self::Reflection { exponent } | Self::Normal { exponent } => Some(exponent),
-            Self::Distance | Self::Angle | Self::Average | Self::EnvironmentMap => None,
+            Self::Distance | Self::Angle | Self::Average | Self::EnvironmentMap | Self::Corrected => None,
         }
     }
 }

@@ -5,6 +5,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 
 use glam::Vec3;
 
+use super::corrected::InverseDistances;
 use super::requests::record_requests;
 use super::shade::{ReadCube, shade_object};
 use super::{OffsetSurfaceLightField, Settings};
@@ -109,6 +110,19 @@ pub(super) struct PagedCubes<'a> {
 }
 
 impl<'a> PagedCubes<'a> {
+    // The four of a bilinear read, and their weights.
+    fn texels_around(&mut self, cube: u32, direction: Vec3, level: u32) -> Result<[([f32; 4], f32); 4], RenderError> {
+        let footprint = bilinear_footprint(direction, self.field.level_size(level) as usize);
+        let mut at = [(PageId(0), 0, 0); 4];
+        for (at, (texel, _)) in at.iter_mut().zip(&footprint) {
+            let (page, row) = self.field.texel_place(cube, level, *texel);
+            self.check(page)?;
+            *at = (PageId(page), texel.column as u32, row);
+        }
+        let texels = self.reader.texels(at)?;
+        Ok(std::array::from_fn(|k| (texels[k], footprint[k].1)))
+    }
+
     pub fn new(field: &'a OffsetSurfaceLightField, source: &'a CountingSource<'a>, touched: &'a PagesTouched) -> Self {
         Self { field, reader: source.reader(), touched, checked: vec![false; touched.pages()] }
     }
@@ -130,15 +144,13 @@ impl<'a> PagedCubes<'a> {
 
 impl ReadCube for PagedCubes<'_> {
     fn read_level(&mut self, cube: u32, direction: Vec3, level: u32) -> Result<Vec3, RenderError> {
-        let footprint = bilinear_footprint(direction, self.field.level_size(level) as usize);
-        let mut at = [(PageId(0), 0, 0); 4];
-        for (at, (texel, _)) in at.iter_mut().zip(&footprint) {
-            let (page, row) = self.field.texel_place(cube, level, *texel);
-            self.check(page)?;
-            *at = (PageId(page), texel.column as u32, row);
-        }
-        let texels = self.reader.texels(at)?;
-        Ok(texels.iter().zip(&footprint).map(|(t, (_, weight))| *weight * Vec3::from_slice(t)).sum())
+        let texels = self.texels_around(cube, direction, level)?;
+        Ok(texels.iter().map(|(texel, weight)| *weight * Vec3::from_slice(texel)).sum())
+    }
+
+    fn inverse_distances(&mut self, cube: u32, direction: Vec3) -> Result<InverseDistances, RenderError> {
+        let texels = self.texels_around(cube, direction, 0)?;
+        Ok(InverseDistances::of(texels.map(|(texel, weight)| (texel[3], weight))))
     }
 
     fn field(&self) -> &OffsetSurfaceLightField {

@@ -1,7 +1,9 @@
-//! The requests for texels that a frame makes, without reading any: weights and directions do not depend on what is stored.
+//! The requests for texels that a frame makes, without reading any: weights and directions do not depend on what is stored. (Those of
+//! depth-corrected reads do; they are refused.)
 
 use glam::{Vec2, Vec3};
 
+use super::corrected::InverseDistances;
 use super::shade::{ReadCube, mirror_direction, radiance_toward, shade_object, sight};
 use super::{OffsetSurfaceLightField, Settings};
 use crate::directions::{DirectionDifferential, bilinear_footprint};
@@ -88,6 +90,10 @@ impl ReadCube for Requests<'_> {
         };
         (self.sink)(TexelRequest::LookUp([place(0), place(1), place(2), place(3)]));
         Ok(Vec3::ZERO)
+    }
+
+    fn inverse_distances(&mut self, _cube: u32, _direction: Vec3) -> Result<InverseDistances, RenderError> {
+        Err(RenderError::DependsOnPages)
     }
 
     fn field(&self) -> &OffsetSurfaceLightField {

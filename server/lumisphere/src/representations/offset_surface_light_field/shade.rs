@@ -6,6 +6,7 @@
 
 use glam::Vec3;
 
+use super::corrected::{InverseDistances, corrected, sees};
 use super::{Blend, Component, Filter, NO_SAMPLE, OffsetSurfaceLightField, RUNTIME_HORIZON_DEG, Settings};
 use crate::directions::{DirectionDifferential, PyramidLevel};
 use crate::geometry::Camera;
@@ -17,6 +18,9 @@ use crate::representations::provenance::{Answer, Provenance};
 pub(super) trait ReadCube {
     /// Toward a direction, of one level: bilinear and seamless.
     fn read_level(&mut self, cube: u32, direction: Vec3, level: u32) -> Result<Vec3, RenderError>;
+
+    /// The stored distances of level 0 around a direction.
+    fn inverse_distances(&mut self, cube: u32, direction: Vec3) -> Result<InverseDistances, RenderError>;
 
     /// The light field whose they are.
     fn field(&self) -> &OffsetSurfaceLightField;
@@ -83,10 +87,10 @@ pub(super) fn shade_object(
     let (at, by) = sight(settings.filter, camera, (i, j), pixel);
     let candidates = field.sample_maps.at(part, u, v);
     let mut shaded = match settings.component {
-        Component::Reconstruction => reconstruct(field, &at, &by, candidates, cubes)?,
+        Component::Reconstruction => reconstruct(field, settings, &at, &by, candidates, cubes)?,
         Component::Mirror => mirror(field, settings, &at, &by, candidates, cubes)?,
         Component::Full => {
-            let own = reconstruct(field, &at, &by, candidates, cubes)?;
+            let own = reconstruct(field, settings, &at, &by, candidates, cubes)?;
             let reflected = mirror(field, settings, &at, &by, candidates, cubes)?;
             Shaded { radiance: own.radiance + reflected.radiance, provenance: worse(own.provenance, reflected.provenance) }
         }
@@ -118,9 +122,11 @@ pub(super) fn worse(own: Provenance, reflected: Provenance) -> Provenance {
     if (reflected.answer() as u32) > own.answer() as u32 { reflected } else { own }
 }
 
-/// The object's own appearance: `Lᵢ(p; normalize(x − p))`, p the nearest candidate within 65° of n, else the nearest (filled).
+/// The object's own appearance: `Lᵢ(p; normalize(x − p))`, p the nearest candidate within 65° of n, else the nearest (filled). Depth-corrected,
+/// p must see x, too.
 pub(super) fn reconstruct(
     field: &OffsetSurfaceLightField,
+    settings: &Settings,
     at: &Sight,
     by: &[Sight; 2],
     candidates: [u16; 4],
@@ -130,9 +136,15 @@ pub(super) fn reconstruct(
     let cos_horizon = RUNTIME_HORIZON_DEG.to_radians().cos();
     let position = |j: u16| field.sample_points[usize::from(j)].position;
     let within = |j: &u16| *j != NO_SAMPLE && n.dot(toward(x, position(*j), n)) > cos_horizon;
-    let chosen = candidates.iter().find(|j| within(j)).map(|j| (*j, Answer::Hit));
-    let nearest = || candidates.iter().find(|j| **j != NO_SAMPLE).map(|j| (*j, Answer::Filled));
-    let Some((j, answer)) = chosen.or_else(nearest) else { return Ok(NOTHING) };
+    let mut chosen = None;
+    for j in candidates.into_iter().filter(within) {
+        if settings.blend != Blend::Corrected || sees(u32::from(j), position(j), x, cubes)? {
+            chosen = Some((j, Answer::Hit));
+            break;
+        }
+    }
+    let mut filled = candidates.into_iter().filter(within).chain(candidates.into_iter().filter(|j| *j != NO_SAMPLE));
+    let Some((j, answer)) = chosen.or_else(|| Some((filled.next()?, Answer::Filled))) else { return Ok(NOTHING) };
     let p = position(j);
     let distance = (p - x).length();
     let per_length = if distance > 0.0 { 1.0 / distance } else { 0.0 };
@@ -156,7 +168,7 @@ pub(super) fn short_of_the_horizon(derivative: Vec3, cosine: f32) -> Vec3 {
     if length > most { derivative * (most / length) } else { derivative }
 }
 
-const NOTHING: Shaded = Shaded { radiance: Vec3::ZERO, provenance: Provenance::UNKNOWN };
+pub(super) const NOTHING: Shaded = Shaded { radiance: Vec3::ZERO, provenance: Provenance::UNKNOWN };
 
 /// The mirror's radiance: `C_s Σⱼ βⱼ Lᵢ(pⱼ; r)`.
 pub(super) fn mirror(
@@ -167,6 +179,10 @@ pub(super) fn mirror(
     candidates: [u16; 4],
     cubes: &mut dyn ReadCube,
 ) -> Result<Shaded, RenderError> {
+    if settings.blend == Blend::Corrected {
+        let shaded = corrected(field, at, by, candidates, cubes)?;
+        return Ok(Shaded { radiance: settings.specular_reflectance * shaded.radiance, ..shaded });
+    }
     radiance_toward(field, settings, at.position, at.normal, &mirrored(at, by), candidates, cubes)
 }
 
@@ -228,7 +244,7 @@ pub(super) fn blend_weights(blend: Blend, candidates: [u16; 4], toward_samples: 
     let valid = candidates.map(|j| j != NO_SAMPLE);
     let Some(nearest) = valid.iter().position(|v| *v) else { return BlendWeights { weights: [0.0; 4], answer: Answer::Unknown } };
     let weights = match blend {
-        Blend::Distance | Blend::EnvironmentMap => only(nearest),
+        Blend::Distance | Blend::EnvironmentMap | Blend::Corrected => only(nearest),
         Blend::Angle => only(largest(toward_samples.map(|s| s.dot(r)), valid, nearest)),
         Blend::Average => normalized(valid.map(|v| if v { 1.0 } else { 0.0 })),
         Blend::Reflection { exponent } => normalized(sharpened(toward_samples.map(|s| s.dot(r)), valid, exponent)),

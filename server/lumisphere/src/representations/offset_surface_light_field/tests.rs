@@ -1,5 +1,6 @@
 //! What must hold of frames of this kind on the CPU. `tests/gpu_equals_cpu.rs` carries it over to the GPU.
 
+mod corrected;
 mod filter;
 pub(crate) mod fixture;
 #[cfg(feature = "gpu")]
@@ -24,7 +25,7 @@ use fixture::{MemoryPages, WORLD, World, environment_radiance, starve, surface_r
 
 pub(crate) const EVERYTHING: Outputs = Outputs { depth: true, provenance: true };
 
-pub(crate) const BLENDS: [Blend; 9] = [
+pub(crate) const BLENDS: [Blend; 10] = [
     Blend::Distance,
     Blend::Angle,
     Blend::Average,
@@ -34,6 +35,7 @@ pub(crate) const BLENDS: [Blend; 9] = [
     Blend::Normal { exponent: 4.0 },
     Blend::Normal { exponent: 100.0 },
     Blend::EnvironmentMap,
+    Blend::Corrected,
 ];
 
 pub(crate) fn settings(component: Component, blend: Blend) -> Settings {

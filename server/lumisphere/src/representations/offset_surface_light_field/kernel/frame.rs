@@ -26,6 +26,8 @@ use crate::textures::{Page, PageId};
 const PAGES_IN_FLIGHT: usize = 256;
 // A look ahead is so much coarser than the frame, along each axis.
 const GLANCE_SCALE: u32 = 4;
+// Which pages a depth-corrected read wants depends on what others hold: seldom on more than two, one after the other.
+const MOST_ROUNDS: u32 = 8;
 const FRAME_BAND: usize = 0;
 const GLANCE_BAND: usize = 1;
 
@@ -48,7 +50,8 @@ struct FrameInProgress<'a, 'p> {
 /// Some of a band's pixels, in rows from its top.
 struct Part {
     pixels: Range<u32>,
-    was_brought: bool,
+    // How often missing pages were uploaded for them.
+    rounds: u32,
 }
 
 #[derive(Clone, Copy, PartialEq)]
@@ -145,22 +148,20 @@ impl Kernel {
         let band = &self.bands[FRAME_BAND].as_ref().expect("made above").band;
         let pixels = band.pixels();
         self.rasterizer.draw(&gpu, &mut encoder, camera, first_row, band)?;
-        let mut parts = vec![Part { pixels: 0..pixels, was_brought: false }];
+        let mut parts = vec![Part { pixels: 0..pixels, rounds: 0 }];
         let mut passes = 0;
         while let Some(part) = parts.pop() {
             let recorded = std::mem::replace(&mut encoder, new_encoder(&gpu));
             self.shade(&gpu, recorded, frame, part.pixels.clone(), Fidelity::Exact);
             passes += 1;
             let wanted = self.wanted_pages(&gpu)?;
-            if passes == 1 {
-                self.count_wanted(frame, &wanted);
-            }
+            self.count_wanted(frame, &wanted, passes == 1);
             let atlas = &self.atlas.as_ref().expect("made before").atlas;
             let (capacity, missing) = (atlas.capacity(), wanted.iter().copied().filter(|p| !atlas.is_resident(*p)).collect::<Vec<_>>());
             if missing.is_empty() {
                 continue;
             }
-            if part.was_brought {
+            if part.rounds == MOST_ROUNDS {
                 return Err(GpuError::Failed { reason: "pages stay missing after they were uploaded".into() }.into());
             }
             if wanted.len() > capacity {
@@ -170,7 +171,7 @@ impl Kernel {
             }
             let brought = self.bring_allowed(&gpu, frame, &wanted, &missing)?;
             if brought == missing.len() {
-                parts.push(Part { was_brought: true, ..part });
+                parts.push(Part { rounds: part.rounds + 1, ..part });
                 continue;
             }
             self.shade(&gpu, new_encoder(&gpu), frame, part.pixels, Fidelity::StandIn);
@@ -183,11 +184,15 @@ impl Kernel {
         self.read_band(frame)
     }
 
-    fn count_wanted(&mut self, frame: &mut FrameInProgress<'_, '_>, wanted: &[u32]) {
+    // Look-ups are a band's first ones, and those of pages that it wanted only after it had others.
+    fn count_wanted(&mut self, frame: &mut FrameInProgress<'_, '_>, wanted: &[u32], is_first: bool) {
         let atlas = &mut self.atlas.as_mut().expect("made before").atlas;
         for page in wanted {
-            atlas.look_up(*page);
-            frame.wanted_count += usize::from(!std::mem::replace(&mut frame.wanted[*page as usize], true));
+            let is_new = !std::mem::replace(&mut frame.wanted[*page as usize], true);
+            frame.wanted_count += usize::from(is_new);
+            if is_first || is_new {
+                atlas.look_up(*page);
+            }
         }
     }
 
@@ -328,7 +333,7 @@ impl Kernel {
 // Two parts of fewer pixels; None where there is only one.
 fn halves(pixels: &Range<u32>) -> Option<[Part; 2]> {
     let middle = pixels.start + pixels.len() as u32 / 2;
-    let part = |pixels| Part { pixels, was_brought: false };
+    let part = |pixels| Part { pixels, rounds: 0 };
     (middle > pixels.start).then(|| [part(middle..pixels.end), part(pixels.start..middle)])
 }
 
@@ -364,7 +369,7 @@ fn extend_from_bytes<T: Pod>(out: &mut Vec<T>, bytes: &[u8]) {
 fn exponent(blend: Blend) -> f32 {
     match blend {
         Blend::Reflection { exponent } | Blend::Normal { exponent } => exponent,
-        Blend::Distance | Blend::Angle | Blend::Average | Blend::EnvironmentMap => 0.0,
+        Blend::Distance | Blend::Angle | Blend::Average | Blend::EnvironmentMap | Blend::Corrected => 0.0,
     }
 }
 

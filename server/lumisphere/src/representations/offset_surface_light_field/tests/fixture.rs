@@ -32,10 +32,13 @@ pub struct World {
     pub quads: u32,
     /// Of the pages.
     pub pixel: PixelFormat,
+    /// The environment is on a sphere of this radius about the origin; infinite: infinitely far.
+    pub room: f32,
 }
 
 /// Small enough for tests.
-pub const WORLD: World = World { rotation: Quat::IDENTITY, scale: 1.0, points: 80, face_size: 32, quads: 12, pixel: PixelFormat::F16 };
+pub const WORLD: World =
+    World { rotation: Quat::IDENTITY, scale: 1.0, points: 80, face_size: 32, quads: 12, pixel: PixelFormat::F16, room: f32::INFINITY };
 
 /// Offset of the sample points, in radii.
 pub const EPSILON: f32 = 0.1;
@@ -83,18 +86,28 @@ pub fn surface_radiance(n: Vec3) -> Vec3 {
     Vec3::new(0.4 + 0.2 * n.y, 0.5 - 0.2 * n.x * n.z, 0.3 + 0.25 * n.z)
 }
 
-/// What is seen from `p` toward the unit vector `d`, and how far; in the unturned world of radius 1.
-pub fn seen(p: Vec3, d: Vec3) -> (Vec3, f32) {
-    let (b, c) = (p.dot(d), p.length_squared() - 1.0);
-    let discriminant = b * b - c;
-    if discriminant > 0.0 && -b - discriminant.sqrt() > 0.0 {
-        let t = -b - discriminant.sqrt();
-        return (surface_radiance((p + t * d).normalize()), t);
-    }
-    (environment_radiance(d), f32::INFINITY)
-}
-
 impl World {
+    /// What is seen from `p` toward the unit vector `d`, and how far; in the unturned world of radius 1.
+    pub fn seen(&self, p: Vec3, d: Vec3) -> (Vec3, f32) {
+        let (b, c) = (p.dot(d), p.length_squared() - 1.0);
+        let discriminant = b * b - c;
+        if discriminant > 0.0 && -b - discriminant.sqrt() > 0.0 {
+            let t = -b - discriminant.sqrt();
+            return (surface_radiance((p + t * d).normalize()), t);
+        }
+        self.surroundings(p, d)
+    }
+
+    /// The same without the sphere.
+    pub fn surroundings(&self, p: Vec3, d: Vec3) -> (Vec3, f32) {
+        if self.room.is_infinite() {
+            return (environment_radiance(d), f32::INFINITY);
+        }
+        let b = p.dot(d);
+        let t = (b * b - p.length_squared() + self.room * self.room).sqrt() - b;
+        (environment_radiance((p + t * d) / self.room), t)
+    }
+
     /// The light field and its pages.
     pub fn build(&self) -> (OffsetSurfaceLightField, MemoryPages) {
         let place = |p: Vec3| self.scale * (self.rotation * p);
@@ -142,7 +155,7 @@ impl World {
         let mut values = Vec::with_capacity(4 * size * size);
         for (row, column) in (0..size).flat_map(|r| (0..size).map(move |c| (r, c))) {
             let d = self.rotation.inverse() * texel_direction(face, size, column as f32 + 0.5, row as f32 + 0.5);
-            let (radiance, distance) = if without_sphere { (environment_radiance(d), f32::INFINITY) } else { seen(at, d) };
+            let (radiance, distance) = if without_sphere { self.surroundings(at, d) } else { self.seen(at, d) };
             values.extend([radiance.x, radiance.y, radiance.z, distance * self.scale]);
         }
         let shape = PageShape { width: self.face_size, height: self.face_size, channels: 4, pixel: self.pixel };

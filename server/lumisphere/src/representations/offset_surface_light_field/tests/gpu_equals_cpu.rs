@@ -112,6 +112,11 @@ fn shading_agrees_on_every_setting() {
 }
 
 #[test]
+fn shading_agrees_on_every_setting_in_a_room() {
+    every_setting_agrees(&World { room: 2.6, ..WORLD }, 4);
+}
+
+#[test]
 fn shading_agrees_on_every_setting_where_samples_are_missing() {
     every_setting_agrees(&WORLD, 1);
     every_setting_agrees(&WORLD, 0);

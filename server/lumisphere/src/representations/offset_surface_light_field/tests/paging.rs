@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use glam::Vec3;
 
+use super::super::corrected::InverseDistances;
 use super::super::kernel::Kernel;
 use super::super::reference::Reference;
 use super::super::shade::ReadCube;
@@ -32,12 +33,14 @@ struct Scene {
     field: Arc<OffsetSurfaceLightField>,
     pages: Box<dyn PageSource>,
     filter: Filter,
+    blend: Blend,
 }
 
 impl Scene {
     fn new(field: OffsetSurfaceLightField, pages: Box<dyn PageSource>) -> Option<Self> {
         let field = Arc::new(field);
-        Some(Self { kernel: Kernel::new(test_gpu()?, field.clone(), BUDGET).unwrap(), field, pages, filter: Filter::Bilinear })
+        let kernel = Kernel::new(test_gpu()?, field.clone(), BUDGET).unwrap();
+        Some(Self { kernel, field, pages, filter: Filter::Bilinear, blend: Blend::Distance })
     }
 
     fn in_memory(world: &World) -> Option<Self> {
@@ -46,7 +49,7 @@ impl Scene {
     }
 
     fn settings(&self) -> AnySettings {
-        AnySettings::OffsetSurfaceLightField(Settings { filter: self.filter, ..mirror(Blend::Distance) })
+        AnySettings::OffsetSurfaceLightField(Settings { filter: self.filter, ..mirror(self.blend) })
     }
 
     fn draw(&mut self, camera: &Camera, refine: Refine) -> Result<(Pixels, GpuFrameStats), RenderError> {
@@ -128,6 +131,32 @@ fn refines_to_the_whole_frame(filter: Filter) {
     assert!(scene.draw(camera, cap).unwrap().0.is_final);
 }
 
+/// Which pages a depth-corrected read wants follows from what others hold: a cold frame finds out in rounds.
+#[test]
+fn depth_corrected_frames_are_the_same_whether_their_pages_come_in_rounds_or_are_there() {
+    let world = World { room: 2.0, ..WORLD };
+    let camera = &orbit(&world, 8)[2];
+    let corrected = || {
+        let mut scene = Scene::in_memory(&world)?;
+        (scene.filter, scene.blend) = (Filter::Footprint, Blend::Corrected);
+        Some(scene)
+    };
+    let Some(mut scene) = corrected() else { return };
+    let (cold, _) = scene.draw(camera, Refine::Whole).unwrap();
+    let (warm, stats) = scene.draw(camera, Refine::Whole).unwrap();
+    assert_eq!((stats.passes, stats.pages_uploaded), (1, 0));
+    assert_eq!((cold.color == warm.color, cold.provenance == warm.provenance), (true, true));
+    // A third of the pages at a time.
+    let mut small = corrected().unwrap();
+    small.kernel.set_slots(warm.pages_needed as u64 / 3);
+    assert!(small.draw(camera, Refine::Whole).unwrap().0.color == warm.color, "another picture from few slots");
+    let mut refined = corrected().unwrap();
+    let cap = Refine::UpTo { upload_bytes: 20 * PAGE_BYTES };
+    let frames = (1..).find(|_| refined.draw(camera, cap).unwrap().0.is_final).expect("refining ends");
+    assert!(frames >= warm.pages_needed / 20, "{frames} frames for {} pages", warm.pages_needed);
+    assert!(refined.draw(camera, cap).unwrap().0.color == warm.color, "another picture after refining");
+}
+
 /// The finest level that is always resident, and nothing else.
 struct OneLevel<'a> {
     field: &'a OffsetSurfaceLightField,
@@ -141,6 +170,11 @@ impl ReadCube for OneLevel<'_> {
         let page = self.pages.page(PageId(self.field.level_page(cube as usize, self.level)))?.page;
         let texel = |t: Texel| Vec3::from_slice(&page.texel(t.column as u32, t.face as u32 * size + t.row as u32));
         Ok(bilinear_footprint(direction, size as usize).into_iter().map(|(t, weight)| weight * texel(t)).sum())
+    }
+
+    // Coarse levels hold none.
+    fn inverse_distances(&mut self, _: u32, _: Vec3) -> Result<InverseDistances, RenderError> {
+        Ok(InverseDistances::of([(0.0, 0.25); 4]))
     }
 
     fn field(&self) -> &OffsetSurfaceLightField {
