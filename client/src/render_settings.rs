@@ -24,6 +24,19 @@ pub struct SettingsFlags {
     /// Where to compute
     #[arg(long, value_enum, default_value = "auto")]
     pub backend: Backend,
+    #[command(flatten)]
+    pub gloss: GlossFlags,
+}
+
+/// What component glossy shows.
+#[derive(Debug, Clone, Default, Args)]
+pub struct GlossFlags {
+    /// BRDF of component glossy, for example {"model": "cook_torrance", "alpha_x": 0.1, "alpha_y": 0.1, "f0": [0.9, 0.7, 0.3]}
+    #[arg(long, value_name = "JSON")]
+    pub brdf: Option<String>,
+    /// Directions drawn from it for each pixel, 1 to 4096 [default: 64]
+    #[arg(long, value_name = "N", default_value_t = 0, hide_default_value = true)]
+    pub directions: u32,
 }
 
 /// What of a cube map a pixel reads.
@@ -44,6 +57,8 @@ pub enum Component {
     Mirror,
     /// Both
     Full,
+    /// With the BRDF of --brdf
+    Glossy,
 }
 
 /// Where to compute.
@@ -105,12 +120,19 @@ impl std::str::FromStr for Blend {
 impl SettingsFlags {
     /// The wire's form.
     pub fn to_wire(&self) -> wire::RenderSettings {
-        settings(self.component, self.blend, self.specular, self.filter, self.backend)
+        settings(self.component, self.blend, self.specular, self.filter, self.backend, &self.gloss)
     }
 }
 
 /// The wire's form.
-pub fn settings(component: Component, blend: Blend, specular: [f32; 3], filter: Filter, backend: Backend) -> wire::RenderSettings {
+pub fn settings(
+    component: Component,
+    blend: Blend,
+    specular: [f32; 3],
+    filter: Filter,
+    backend: Backend,
+    gloss: &GlossFlags,
+) -> wire::RenderSettings {
     let (blend, exponent) = match blend {
         Blend::Distance => (WireBlend::Distance, None),
         Blend::Angle => (WireBlend::Angle, None),
@@ -124,6 +146,7 @@ pub fn settings(component: Component, blend: Blend, specular: [f32; 3], filter: 
         Component::Reconstruction => WireComponent::Reconstruction,
         Component::Mirror => WireComponent::Mirror,
         Component::Full => WireComponent::Full,
+        Component::Glossy => WireComponent::Glossy,
     };
     let backend = match backend {
         Backend::Auto => wire::Backend::Unspecified,
@@ -141,6 +164,7 @@ pub fn settings(component: Component, blend: Blend, specular: [f32; 3], filter: 
         exponent,
         specular_reflectance: Some(wire::Vector3 { x, y, z }),
         filter: filter.into(),
+        gloss: gloss.brdf.clone().map(|brdf| wire::offset_surface_light_field_settings::Gloss { brdf, directions: gloss.directions }),
     };
     wire::RenderSettings {
         representation: Some(wire::render_settings::Representation::OffsetSurfaceLightField(settings)),

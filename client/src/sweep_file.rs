@@ -12,7 +12,7 @@ use wire::capture_spec::Density;
 use crate::cameras::{OrbitFlags, Size, Views, read_cameras};
 use crate::commands::evaluate::Truth;
 use crate::exit::Failure;
-use crate::render_settings::{Backend, Blend, Component, Filter, settings};
+use crate::render_settings::{Backend, Blend, Component, Filter, GlossFlags, settings};
 use crate::scene_source::SceneFlags;
 use crate::sections::{Expected, Section, integer, number, text};
 
@@ -253,6 +253,11 @@ fn scene_parameters(s: Section) -> Result<Vec<(String, String)>, Failure> {
 
 fn setting_axes(mut s: Section) -> anyhow::Result<(Vec<Setting>, [f32; 3])> {
     let components = s.axis("components", &one_of::<Component>(&choices::<Component>()))?.unwrap_or(vec![Component::Mirror]);
+    if components.contains(&Component::Glossy) {
+        return Err(s
+            .error("components has glossy, which a sweep has no axis for; evaluate --components glossy --brdf measures it")
+            .into());
+    }
     // What the flag says, without its last word.
     let blend_text = "".parse::<Blend>().err().unwrap_or_default();
     let blend_text = blend_text.trim_end_matches(" expected");
@@ -280,7 +285,10 @@ fn setting_axes(mut s: Section) -> anyhow::Result<(Vec<Setting>, [f32; 3])> {
             for &blend in blends {
                 for &backend in &backends {
                     let name = backend.to_possible_value().map(|v| v.get_name().to_string()).unwrap_or_default();
-                    all.push(Setting { wire: settings(component, blend, specular, filter, backend), backend: name });
+                    all.push(Setting {
+                        wire: settings(component, blend, specular, filter, backend, &GlossFlags::default()),
+                        backend: name,
+                    });
                 }
             }
         }

@@ -95,6 +95,7 @@ fn mirror() -> wire::RenderSettings {
         exponent: None,
         specular_reflectance: None,
         filter: 0,
+        gloss: None,
     };
     wire::RenderSettings {
         representation: Some(wire::render_settings::Representation::OffsetSurfaceLightField(settings)),

@@ -30,6 +30,7 @@ pub fn settings(component: Component, blend: Blend) -> wire::RenderSettings {
         exponent: None,
         specular_reflectance: None,
         filter: 0,
+        gloss: None,
     };
     wire::RenderSettings {
         representation: Some(wire::render_settings::Representation::OffsetSurfaceLightField(settings)),

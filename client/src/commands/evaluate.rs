@@ -18,7 +18,7 @@ use crate::cameras::{CameraFlags, Views, parse_vec3};
 use crate::context::Context;
 use crate::files::{Existing, prepare_folder};
 use crate::output::table;
-use crate::render_settings::{Backend, Blend, Component, Filter, settings};
+use crate::render_settings::{Backend, Blend, Component, Filter, GlossFlags, settings};
 
 /// What to evaluate.
 #[derive(Debug, Args)]
@@ -41,6 +41,8 @@ pub struct EvaluateFlags {
     /// Specular reflectance, each in 0 to 1
     #[arg(long, value_name = "R,G,B", value_parser = parse_vec3, default_value = "1,1,1")]
     specular: [f32; 3],
+    #[command(flatten)]
+    gloss: GlossFlags,
     /// How cube maps are read, separated by commas
     #[arg(long, value_enum, value_delimiter = ',', default_value = "footprint")]
     filters: Vec<Filter>,
@@ -130,13 +132,15 @@ impl EvaluateFlags {
 
     /// Reconstruction has no blend, so it is evaluated once, and corrected if that is asked for.
     fn settings(&self) -> Vec<wire::RenderSettings> {
-        let one = |component, blend, filter| settings(component, blend, self.specular, filter, self.backend);
+        let one = |component, blend, filter| settings(component, blend, self.specular, filter, self.backend, &self.gloss);
         let of = |component: Component, filter: Filter| match component {
             Component::Reconstruction => {
                 let corrected = self.blends.iter().copied().filter(|blend| *blend == Blend::Corrected);
                 std::iter::once(Blend::Distance).chain(corrected).map(|blend| one(component, blend, filter)).collect::<Vec<_>>()
             }
-            Component::Mirror | Component::Full => self.blends.iter().map(|&blend| one(component, blend, filter)).collect(),
+            Component::Mirror | Component::Full | Component::Glossy => {
+                self.blends.iter().map(|&blend| one(component, blend, filter)).collect()
+            }
         };
         self.filters.iter().flat_map(|&filter| self.components.iter().flat_map(move |&component| of(component, filter))).collect()
     }

@@ -144,7 +144,7 @@ enum FrameSource<'a> {
 
 impl<'a> FrameSource<'a> {
     async fn open(arguments: &Arguments, target: &Target, context: &'a Context, server: &Server, version: u64) -> anyhow::Result<Self> {
-        let (settings, output) = (Some(target.settings), Some(arguments.output.to_wire()));
+        let (settings, output) = (Some(target.settings.clone()), Some(arguments.output.to_wire()));
         let dataset = target.dataset.clone();
         let mut client = server.rendering();
         if !arguments.stream {

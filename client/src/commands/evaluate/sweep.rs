@@ -116,7 +116,7 @@ async fn evaluated(
         version: dataset.version,
         views: Some(views),
         truth_samples_per_pixel: file.truth_samples_per_pixel,
-        settings: file.settings.iter().map(|s| s.wire).collect(),
+        settings: file.settings.iter().map(|s| s.wire.clone()).collect(),
         truths: file.truths.iter().map(|t| t.to_wire().into()).collect(),
         seed: file.truth_seed,
         max_bounces: file.truth_max_bounces,

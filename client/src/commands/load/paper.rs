@@ -11,7 +11,7 @@ use crate::context::{Context, Server};
 use crate::exit::Failure;
 use crate::output::table;
 use crate::progress::{Meter, Progress};
-use crate::render_settings::{Backend, Blend, Component, Filter, settings};
+use crate::render_settings::{Backend, Blend, Component, Filter, GlossFlags, settings};
 
 /// Directions a pixel of the glossy reflection.
 const LOBE_SAMPLES: u32 = 16;
@@ -135,7 +135,7 @@ impl Requests {
             Self::SampleMaps | Self::Reconstruction => Component::Reconstruction,
             Self::Mirror | Self::Glossy => Component::Mirror,
         };
-        settings(component, Blend::Normal(4.0), [1.0; 3], Filter::Bilinear, Backend::Cpu)
+        settings(component, Blend::Normal(4.0), [1.0; 3], Filter::Bilinear, Backend::Cpu, &GlossFlags::default())
     }
 }
 

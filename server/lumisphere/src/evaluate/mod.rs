@@ -16,6 +16,7 @@ use thiserror::Error;
 use crate::geometry::Camera;
 use crate::images::{CompareError, CompareOptions, Image, absolute_error_image, compare};
 use crate::progress::{Cancelled, Progress};
+use crate::radiometry::brdf::BrdfModel;
 use crate::raytrace::{TraceError, TraceSettings};
 use crate::render::Backend;
 use crate::representations::Settings;
@@ -114,7 +115,9 @@ pub fn evaluate<E: std::error::Error>(
     for (v, camera) in plan.cameras.iter().enumerate() {
         progress.report("tracing the truth", done, steps);
         let wanted: Vec<Truth> = plan.settings.iter().flat_map(|s| truths_of(s, plan)).collect();
-        let view = truths.view(camera, &wanted, &plan.trace, progress)?;
+        let mut view = truths.view(camera, &wanted, &plan.trace, progress)?;
+        let brdfs: Vec<BrdfModel> = plan.settings.iter().filter_map(|s| s.brdf()).map(BrdfModel::from).collect();
+        truths.add_glossy(&mut view, camera, &brdfs, &plan.trace, progress)?;
         if !view.mask.contains(&true) {
             return Err(EvaluateError::Plan(format!("camera {v} shows no pixel of object {:?} with all its neighbours", plan.object)));
         }
@@ -141,9 +144,13 @@ pub fn evaluate<E: std::error::Error>(
     Ok(totals.into_iter().enumerate().flat_map(of_setting).collect())
 }
 
-// What a setting is compared with: what shows no reflection has one truth only.
+// What a setting is compared with: what is no mirror has one truth only.
 fn truths_of(settings: &Settings, plan: &Plan) -> Vec<Truth> {
-    if settings.reflection().is_none() { vec![Truth::Diffuse] } else { plan.mirror_truths.clone() }
+    match (settings.brdf(), settings.reflection()) {
+        (Some(_), _) => vec![Truth::OneGlossyReflection],
+        (None, None) => vec![Truth::Diffuse],
+        (None, Some(_)) => plan.mirror_truths.clone(),
+    }
 }
 
 // Names for files, unique among the settings: those that differ in nothing that is named (reflectance, backend) are numbered.

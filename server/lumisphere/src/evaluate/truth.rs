@@ -23,6 +23,8 @@ pub enum Truth {
     OneReflection,
     /// The object as a mirror that sees itself as a mirror.
     PhysicalMirror,
+    /// One reflection by the BRDF that is shown, over the diffuse scene.
+    OneGlossyReflection,
 }
 
 impl Truth {
@@ -32,14 +34,17 @@ impl Truth {
             Self::Diffuse => "diffuse",
             Self::OneReflection => "one_reflection",
             Self::PhysicalMirror => "physical_mirror",
+            Self::OneGlossyReflection => "one_glossy_reflection",
         }
     }
 
-    fn appearance(self) -> Appearance {
+    // None where it depends on more than this.
+    fn appearance(self) -> Option<Appearance> {
         match self {
-            Self::Diffuse => Appearance::Diffuse,
-            Self::OneReflection => Appearance::OneMirror { reflectance: Vec3::ONE },
-            Self::PhysicalMirror => Appearance::PhysicalMirror { reflectance: Vec3::ONE },
+            Self::Diffuse => Some(Appearance::Diffuse),
+            Self::OneReflection => Some(Appearance::OneMirror { reflectance: Vec3::ONE }),
+            Self::PhysicalMirror => Some(Appearance::PhysicalMirror { reflectance: Vec3::ONE }),
+            Self::OneGlossyReflection => None,
         }
     }
 }
@@ -68,11 +73,11 @@ impl TruthRenderer {
         Ok(Self { tracer: Tracer::new(scene)?, object })
     }
 
-    /// The truths in `wanted`, and the diffuse one, seen from `camera`. Around the object, which enters only the windows of FLIP and SSIM at
+    /// The truths in `wanted`, and the diffuse one, seen from `camera`; glossy ones are for `add_glossy`. Around the object, which enters only the windows of FLIP and SSIM at
     /// its silhouette, with a 16th of the paths.
     pub fn view(&self, camera: &Camera, wanted: &[Truth], trace: &TraceSettings, progress: &dyn Progress) -> Result<ViewTruth, Cancelled> {
         let around = TraceSettings { samples_per_pixel: trace.samples_per_pixel.div_ceil(PATHS_PER_PATH_AROUND), ..*trace };
-        let all = self.with(Truth::Diffuse).render(camera, &around, progress)?;
+        let all = self.tracer.with_appearance(self.object, Appearance::Diffuse).render(camera, &around, progress)?;
         let object: Vec<bool> = all.object.iter().map(|o| *o == self.object as u32).collect();
         let points = |at: usize| {
             let (i, j) = (at % all.radiance.width, at / all.radiance.width);
@@ -82,8 +87,9 @@ impl TruthRenderer {
         let mask = inside_silhouettes(&object, all.radiance.width, &|a, b| smoothly_joined(points(a), points(b)));
         let mut images = BTreeMap::new();
         for truth in [Truth::Diffuse].iter().chain(wanted) {
-            if !images.contains_key(truth) {
-                images.insert(*truth, trace_object(&self.with(*truth), &object, &all.radiance, camera, trace, progress)?);
+            if let Some(appearance) = truth.appearance().filter(|_| !images.contains_key(truth)) {
+                let tracer = self.tracer.with_appearance(self.object, appearance);
+                images.insert(*truth, trace_object(&tracer, &object, &all.radiance, camera, trace, progress)?);
             }
         }
         Ok(ViewTruth { images, glossy: Vec::new(), mask, object })
@@ -107,10 +113,6 @@ impl TruthRenderer {
             }
         }
         Ok(())
-    }
-
-    fn with(&self, truth: Truth) -> Tracer {
-        self.tracer.with_appearance(self.object, truth.appearance())
     }
 }
 
@@ -136,9 +138,12 @@ impl ViewTruth {
         self.glossy.iter().find(|(known, _)| known == brdf).map(|(_, image)| image)
     }
 
-    /// What a frame with `settings` should look like: the diffuse part, the reflected part times C_s, or their sum on the object;
+    /// What a frame with `settings` should look like: as the BRDF says where there is one (that was added), else the diffuse part, the reflected part times C_s, or their sum on the object;
     /// around the object always the diffuse scene. `truth` was among those wanted.
     pub fn reference(&self, settings: &Settings, truth: Truth) -> Image {
+        if let Some(glossy) = settings.brdf().and_then(|brdf| self.glossy(&brdf.into())) {
+            return glossy.clone();
+        }
         let mut image = self.images[&Truth::Diffuse].clone();
         let Some((reflectance, keep_diffuse)) = settings.reflection() else { return image };
         let mirror = &self.images[&truth];

@@ -17,6 +17,7 @@ use thiserror::Error;
 use crate::geometry::Camera;
 #[cfg(feature = "gpu")]
 use crate::gpu::{Gpu, GpuCacheStats, GpuError};
+use crate::radiometry::brdf::AnalyticBrdf;
 #[cfg(feature = "gpu")]
 use crate::textures::PolicyKind;
 use crate::textures::{PageId, StoreError};
@@ -89,6 +90,16 @@ impl Settings {
         }
     }
 
+    /// The BRDF that the object is shown with, where it is another than its own or a mirror's.
+    pub fn brdf(&self) -> Option<AnalyticBrdf> {
+        match self {
+            Self::OffsetSurfaceLightField(s) => match s.component {
+                oslf::Component::Glossy(gloss) => Some(gloss.brdf),
+                oslf::Component::Reconstruction | oslf::Component::Mirror | oslf::Component::Full => None,
+            },
+        }
+    }
+
     /// Reflectance of the reflected part, and whether the diffuse part is shown too; None where nothing is reflected.
     pub fn reflection(&self) -> Option<(glam::Vec3, bool)> {
         match self {
@@ -96,6 +107,7 @@ impl Settings {
                 oslf::Component::Reconstruction => None,
                 oslf::Component::Mirror => Some((s.specular_reflectance, false)),
                 oslf::Component::Full => Some((s.specular_reflectance, true)),
+                oslf::Component::Glossy(_) => None,
             },
         }
     }

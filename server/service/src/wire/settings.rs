@@ -10,6 +10,8 @@ use super::{proto, required, within};
 use crate::config::BackendChoice;
 use crate::errors::{ApiError, Reason};
 
+/// Default of `Gloss.directions`.
+const DEFAULT_DIRECTIONS: u32 = 64;
 /// Default N of the blends that have one.
 const DEFAULT_EXPONENT: f32 = 4.0;
 const DEFAULT_JPEG_QUALITY: u8 = 90;
@@ -93,13 +95,15 @@ pub fn check_kind(settings: &Settings, dataset_kind: &str) -> Result<(), ApiErro
 
 fn oslf_settings(message: proto::OffsetSurfaceLightFieldSettings, field: &str) -> Result<oslf::Settings, ApiError> {
     use proto::offset_surface_light_field_settings::Blend;
-    let component = component(message.component, &format!("{field}.component"))?;
+    let component = component(message.component, message.gloss, field)?;
     let exponent = within(message.exponent.unwrap_or(DEFAULT_EXPONENT), 0.0, 10_000.0, &format!("{field}.exponent"))?;
     let blend = match component {
         // Corrected or not: of others anything will do, nonsense included.
         oslf::Component::Reconstruction if message.blend == Blend::Corrected as i32 => oslf::Blend::Corrected,
         oslf::Component::Reconstruction => oslf::Blend::Distance,
-        oslf::Component::Mirror | oslf::Component::Full => blend(message.blend, exponent, &format!("{field}.blend"))?,
+        oslf::Component::Mirror | oslf::Component::Full | oslf::Component::Glossy(_) => {
+            blend(message.blend, exponent, &format!("{field}.blend"))?
+        }
     };
     let specular_reflectance = message.specular_reflectance.map_or(Vec3::ONE, vec3);
     for (channel, value) in ["x", "y", "z"].into_iter().zip(specular_reflectance.to_array()) {
@@ -118,14 +122,33 @@ fn filter(value: i32, field: &str) -> Result<oslf::Filter, ApiError> {
     }
 }
 
-fn component(value: i32, field: &str) -> Result<oslf::Component, ApiError> {
+fn component(
+    value: i32,
+    gloss: Option<proto::offset_surface_light_field_settings::Gloss>,
+    field: &str,
+) -> Result<oslf::Component, ApiError> {
     use proto::offset_surface_light_field_settings::Component;
     match Component::try_from(value) {
         Ok(Component::Reconstruction) => Ok(oslf::Component::Reconstruction),
         Ok(Component::Mirror) => Ok(oslf::Component::Mirror),
         Ok(Component::Full) => Ok(oslf::Component::Full),
-        Ok(Component::Unspecified) | Err(_) => Err(ApiError::field(field, format!("{value}, RECONSTRUCTION, MIRROR or FULL expected"))),
+        Ok(Component::Glossy) => Ok(oslf::Component::Glossy(self::gloss(gloss, &format!("{field}.gloss"))?)),
+        Ok(Component::Unspecified) | Err(_) => {
+            let field = format!("{field}.component");
+            Err(ApiError::field(field, format!("{value}, RECONSTRUCTION, MIRROR, FULL or GLOSSY expected")))
+        }
     }
+}
+
+fn gloss(message: Option<proto::offset_surface_light_field_settings::Gloss>, field: &str) -> Result<oslf::Gloss, ApiError> {
+    let message = required(message, field)?;
+    let brdf =
+        serde_json::from_str(&message.brdf).map_err(|e| ApiError::field(format!("{field}.brdf"), format!("{e} in {:?}", message.brdf)))?;
+    let directions = if message.directions == 0 { DEFAULT_DIRECTIONS } else { message.directions };
+    if directions > oslf::MOST_DIRECTIONS {
+        return Err(ApiError::field(format!("{field}.directions"), format!("{directions}, 1 to {} expected", oslf::MOST_DIRECTIONS)));
+    }
+    Ok(oslf::Gloss { brdf, directions })
 }
 
 fn blend(value: i32, exponent: f32, field: &str) -> Result<oslf::Blend, ApiError> {
@@ -183,7 +206,7 @@ mod tests {
     use super::*;
 
     fn message(component: i32, blend: i32) -> proto::OffsetSurfaceLightFieldSettings {
-        proto::OffsetSurfaceLightFieldSettings { component, blend, exponent: None, specular_reflectance: None, filter: 0 }
+        proto::OffsetSurfaceLightFieldSettings { component, blend, exponent: None, specular_reflectance: None, filter: 0, gloss: None }
     }
 
     #[test]
@@ -193,6 +216,23 @@ mod tests {
         assert!(refused(9, 1).starts_with("s.component: 9"));
         assert!(refused(2, 0).starts_with("s.blend: 0"));
         assert!(refused(3, 77).starts_with("s.blend: 77"));
+        assert!(refused(4, 1).starts_with("s.gloss"));
+        let glossy = |brdf: &str, directions| {
+            let gloss = proto::offset_surface_light_field_settings::Gloss { brdf: brdf.into(), directions };
+            oslf_settings(proto::OffsetSurfaceLightFieldSettings { gloss: Some(gloss), ..message(4, 1) }, "s")
+        };
+        let lambert = r#"{"model": "lambert", "albedo": [0.5, 0.5, 0.5]}"#;
+        assert!(matches!(glossy(lambert, 0).unwrap().component, oslf::Component::Glossy(oslf::Gloss { directions: 64, .. })));
+        assert!(glossy(lambert, 5000).unwrap_err().to_string().starts_with("s.gloss.directions: 5000, 1 to 4096"));
+        for (bad, problem) in [
+            ("", "EOF"),
+            (r#"{"model": "velvet"}"#, "unknown variant `velvet`"),
+            (r#"{"model": "lambert", "albedo": [0.5, 1.5, 0.5]}"#, "albedo"),
+            (r#"{"model": "lambert", "albedo": [0.5, 0.5, 0.5], "gloss": 1}"#, "unknown field"),
+        ] {
+            let error = glossy(bad, 1).unwrap_err().to_string();
+            assert!(error.starts_with("s.gloss.brdf: ") && error.contains(problem), "{error}");
+        }
         let sharper = proto::OffsetSurfaceLightFieldSettings { filter: 9, ..message(1, 0) };
         assert!(oslf_settings(sharper, "s").unwrap_err().to_string().starts_with("s.filter: 9"));
         let nan = proto::OffsetSurfaceLightFieldSettings { exponent: Some(f32::NAN), ..message(2, 4) };

@@ -147,18 +147,18 @@ fn power_lobe(axis: vec3<f32>, exponent: f32, u: vec2<f32>) -> vec3<f32> {
 
 // phong.rs
 
-fn mirrored(w: vec3<f32>) -> vec3<f32> {
+fn turned_about_normal(w: vec3<f32>) -> vec3<f32> {
     return vec3(-w.x, -w.y, w.z);
 }
 
 fn phong_eval(brdf: BrdfUniform, wo: vec3<f32>, wi: vec3<f32>) -> vec3<f32> {
-    let lobe = (brdf.exponent + 2.0) / BRDF_TAU * cosine_power(one_minus_cosine(mirrored(wo), wi), brdf.exponent);
+    let lobe = (brdf.exponent + 2.0) / BRDF_TAU * cosine_power(one_minus_cosine(turned_about_normal(wo), wi), brdf.exponent);
     return brdf.diffuse * BRDF_INVERSE_PI + brdf.specular * lobe;
 }
 
 fn phong_pdf(brdf: BrdfUniform, wo: vec3<f32>, wi: vec3<f32>) -> f32 {
     let share = brdf.specular_share;
-    return (1.0 - share) * cosine_pdf(wi) + share * power_pdf(mirrored(wo), brdf.exponent, wi);
+    return (1.0 - share) * cosine_pdf(wi) + share * power_pdf(turned_about_normal(wo), brdf.exponent, wi);
 }
 
 // ashikhmin_shirley.rs
@@ -376,7 +376,7 @@ fn brdf_sample(brdf: BrdfUniform, wo: vec3<f32>, u: vec2<f32>) -> BrdfSample {
         if u.x >= share {
             wi = cosine_hemisphere(vec2((u.x - share) / (1.0 - share), u.y));
         } else if BRDF_MODEL == PHONG {
-            wi = power_lobe(mirrored(wo), brdf.exponent, vec2(u.x / share, u.y));
+            wi = power_lobe(turned_about_normal(wo), brdf.exponent, vec2(u.x / share, u.y));
         } else {
             var h: vec3<f32>;
             if BRDF_MODEL == WARD {

@@ -31,7 +31,7 @@ impl Phong {
 }
 
 #[inline]
-fn mirrored(w: Vec3) -> Vec3 {
+fn turned_about_normal(w: Vec3) -> Vec3 {
     Vec3::new(-w.x, -w.y, w.z)
 }
 
@@ -40,7 +40,7 @@ impl Brdf for Phong {
         if !above_horizon(wo, wi) {
             return Vec3::ZERO;
         }
-        let lobe = (self.exponent + 2.0) / TAU * cosine_power(one_minus_cosine(mirrored(wo), wi), self.exponent);
+        let lobe = (self.exponent + 2.0) / TAU * cosine_power(one_minus_cosine(turned_about_normal(wo), wi), self.exponent);
         self.diffuse * FRAC_1_PI + self.specular * lobe
     }
 
@@ -50,7 +50,7 @@ impl Brdf for Phong {
         }
         let share = self.specular_share();
         let wi = if u.x < share {
-            power_lobe(mirrored(wo), self.exponent, Vec2::new(u.x / share, u.y))
+            power_lobe(turned_about_normal(wo), self.exponent, Vec2::new(u.x / share, u.y))
         } else {
             cosine_hemisphere(Vec2::new((u.x - share) / (1.0 - share), u.y))
         };
@@ -63,6 +63,6 @@ impl Brdf for Phong {
             return 0.0;
         }
         let share = self.specular_share();
-        (1.0 - share) * cosine_pdf(wi) + share * power_pdf(mirrored(wo), self.exponent, wi)
+        (1.0 - share) * cosine_pdf(wi) + share * power_pdf(turned_about_normal(wo), self.exponent, wi)
     }
 }

@@ -45,6 +45,8 @@ pub struct GBufferPixel {
     pub b: [f32; 4],
     /// Derivatives, per pixel, of the object's point and of its unit normal, by the pixel's column and by its row; 0 for everything else.
     pub differentials: [SurfaceDifferential; 2],
+    /// Where the object's u grows, along its triangle, of any length; three coordinates and 0. 0 for everything else.
+    pub tangent: [f32; 4],
 }
 
 /// How the object's point and unit normal change from one pixel to the next, on the plane of the triangle that is seen.

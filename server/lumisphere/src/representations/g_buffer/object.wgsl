@@ -21,6 +21,7 @@ struct ObjectPoint {
     front: bool,
     across: SurfaceDifferential,
     down: SurfaceDifferential,
+    tangent: vec3<f32>,
 }
 
 const LEAST_SINE: f32 = 0.02;
@@ -59,6 +60,16 @@ fn differential(t: SeenTriangle, by: vec3<f32>) -> SurfaceDifferential {
     return SurfaceDifferential(select(vec3(0.0), position, exists), select(vec3(0.0), normal, exists));
 }
 
+// Twin of tangent_frame.rs.
+fn tangent_along_u(a: ObjectVertex, b: ObjectVertex, c: ObjectVertex) -> vec3<f32> {
+    let to_b = vec2(b.u - a.u, b.v - a.v);
+    let to_c = vec2(c.u - a.u, c.v - a.v);
+    let turn = to_b.x * to_c.y - to_b.y * to_c.x;
+    let e1 = vertex_position(b) - vertex_position(a);
+    let e2 = vertex_position(c) - vertex_position(a);
+    return (e1 * to_c.y - e2 * to_b.y) * sign(turn);
+}
+
 fn object_point(direction: vec3<f32>, triangle: u32) -> ObjectPoint {
     let a = object_vertices[object_triangles[3u * triangle]];
     let b = object_vertices[object_triangles[3u * triangle + 1u]];
@@ -84,5 +95,5 @@ fn object_point(direction: vec3<f32>, triangle: u32) -> ObjectPoint {
     let by = ray_derivatives(camera, direction);
     let across = differential(t, by.across);
     let down = differential(t, by.down);
-    return ObjectPoint(uv, normalize_or(normal, -direction), at.distance, a.part, at.front, across, down);
+    return ObjectPoint(uv, normalize_or(normal, -direction), at.distance, a.part, at.front, across, down, tangent_along_u(a, b, c));
 }

@@ -421,7 +421,7 @@ pub(crate) mod resolve {
         pub fn read_g_buffer(&self, gpu: &Gpu, band: &Band) -> Vec<GBufferPixel> {
             let entries = [binding::read_buffer(0), binding::read_buffer(1), binding::write_buffer(2)];
             let shader = Shader::new(gpu, "resolve", SOURCE, &[&band_entries(), &background_entries(), &entries]);
-            let pixels = vec![[[0f32; 4]; 6]; band.pixels() as usize];
+            let pixels = vec![[[0f32; 4]; 7]; band.pixels() as usize];
             let resolved = storage_buffer(gpu, "resolved", &pixels, wgpu::BufferUsages::COPY_SRC);
             let [triangles, vertices] = self.object_buffers().map(wgpu::Buffer::as_entire_binding);
             let own = shader.bind(gpu, 2, &[triangles, vertices, resolved.as_entire_binding()]);

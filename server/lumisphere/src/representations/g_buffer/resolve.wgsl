@@ -1,4 +1,4 @@
-// Twin of rasterize.rs. For tests: the whole G-buffer, laid out as `GBufferPixel` says, six elements a pixel.
+// Twin of rasterize.rs. For tests: the whole G-buffer, laid out as `GBufferPixel` says, seven elements a pixel.
 
 @group(2) @binding(0) var<storage, read> object_triangles: array<u32>;
 @group(2) @binding(1) var<storage, read> object_vertices: array<ObjectVertex>;
@@ -17,12 +17,14 @@ fn resolve(@builtin(global_invocation_id) id: vec3<u32>) {
     var b = vec3(0.0);
     var across = SurfaceDifferential(vec3(0.0), vec3(0.0));
     var down = across;
+    var tangent = vec3(0.0);
     if list == OBJECT_LIST {
         let point = object_point(direction, triangle);
         a = vec4(point.uv, select(-4.0 - f32(point.part), f32(point.part), point.front), point.distance);
         b = point.normal;
         across = point.across;
         down = point.down;
+        tangent = point.tangent;
     } else if list == SKY_LIST {
         b = environment_radiance(direction);
     } else {
@@ -30,10 +32,11 @@ fn resolve(@builtin(global_invocation_id) id: vec3<u32>) {
         a = vec4(point.uv, select(-1.0, -3.0, point.unknown), point.distance);
         b = point.radiance;
     }
-    resolved[6u * id.x] = a;
-    resolved[6u * id.x + 1u] = vec4(b, 0.0);
-    resolved[6u * id.x + 2u] = vec4(across.position, 0.0);
-    resolved[6u * id.x + 3u] = vec4(across.normal, 0.0);
-    resolved[6u * id.x + 4u] = vec4(down.position, 0.0);
-    resolved[6u * id.x + 5u] = vec4(down.normal, 0.0);
+    resolved[7u * id.x] = a;
+    resolved[7u * id.x + 1u] = vec4(b, 0.0);
+    resolved[7u * id.x + 2u] = vec4(across.position, 0.0);
+    resolved[7u * id.x + 3u] = vec4(across.normal, 0.0);
+    resolved[7u * id.x + 4u] = vec4(down.position, 0.0);
+    resolved[7u * id.x + 5u] = vec4(down.normal, 0.0);
+    resolved[7u * id.x + 6u] = vec4(tangent, 0.0);
 }

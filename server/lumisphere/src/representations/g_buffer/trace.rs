@@ -5,7 +5,7 @@ use std::sync::Arc;
 use glam::{Vec2, Vec3};
 
 use super::{BackgroundVertex, GBufferPixel, ObjectVertex, ProxyGeometry, Seen, SurfaceDifferential, pixel_angle};
-use crate::geometry::{Camera, Ray};
+use crate::geometry::{Camera, Ray, tangent_along_u};
 use crate::raytrace::{Bvh, Stack};
 
 /// Casts rays at the object and its background. Built once per dataset.
@@ -49,6 +49,7 @@ impl GBufferTracer {
             a: [0.0, 0.0, Seen::Nothing.code(), f32::INFINITY],
             b: radiance.extend(0.0).into(),
             differentials: Default::default(),
+            tangent: [0.0; 4],
         }
     }
 
@@ -60,7 +61,13 @@ impl GBufferTracer {
         let seen = if faces(corners.map(|c| c.position), ray) { Seen::Object { part } } else { Seen::ObjectBack { part } };
         let differentials = derivatives.map(|by| differential(corners, normal, ray.direction, distance, by));
         let normal = normal.normalize_or(-ray.direction);
-        GBufferPixel { a: [uv.x, uv.y, seen.code(), distance], b: normal.extend(0.0).into(), differentials }
+        let tangent = tangent_along_u(corners.map(|c| c.position.into()), corners.map(|c| c.uv.into()));
+        GBufferPixel {
+            a: [uv.x, uv.y, seen.code(), distance],
+            b: normal.extend(0.0).into(),
+            differentials,
+            tangent: tangent.extend(0.0).into(),
+        }
     }
 
     fn background(&self, ray: Ray, distance: f32, t: usize, weights: Vec3, pixel_angle: f32) -> GBufferPixel {
@@ -79,7 +86,12 @@ impl GBufferTracer {
         let emission = if front { Vec3::from(material.emission) } else { Vec3::ZERO };
         let radiance = emission + albedo * irradiance * std::f32::consts::FRAC_1_PI;
         let seen = if material.unknown == 1 { Seen::Unknown } else { Seen::Background };
-        GBufferPixel { a: [uv.x, uv.y, seen.code(), distance], b: radiance.extend(0.0).into(), differentials: Default::default() }
+        GBufferPixel {
+            a: [uv.x, uv.y, seen.code(), distance],
+            b: radiance.extend(0.0).into(),
+            differentials: Default::default(),
+            tangent: [0.0; 4],
+        }
     }
 }
 

@@ -10,7 +10,7 @@
 
 use glam::Vec3;
 
-use super::shade::{BlendWeights, NOTHING, ReadCube, Shaded, Sight, blend_weights, mirrored, toward};
+use super::shade::{BlendWeights, NOTHING, ReadCube, Shaded, Sight, blend_weights, toward};
 use super::{Blend, NO_SAMPLE, OffsetSurfaceLightField};
 use crate::directions::DirectionDifferential;
 use crate::representations::RenderError;
@@ -145,15 +145,16 @@ fn agreeing_weights(
 // Of the distance to a sample point: one that lies in the surface has no infinite weight.
 const LEAST_SQUARE: f32 = 1e-12;
 
-/// `Σⱼ βⱼ Lᵢ(pⱼ; x + t·r − pⱼ)`, where the ray meets its first surface at t.
+/// `Σⱼ βⱼ Lᵢ(pⱼ; x + t·r − pⱼ)`, where the ray from x along `r` meets its first surface at t.
 pub(super) fn corrected(
     field: &OffsetSurfaceLightField,
     at: &Sight,
     by: &[Sight; 2],
+    r: &DirectionDifferential,
     candidates: [u16; 4],
     cubes: &mut dyn ReadCube,
 ) -> Result<Shaded, RenderError> {
-    let (x, n, r) = (at.position, at.normal, mirrored(at, by));
+    let (x, n) = (at.position, at.normal);
     let position = |j: u16| field.sample_points[usize::from(j)].position;
     let mut inverse = first_met(field, candidates, x, r.direction, cubes)?;
     let mut blend = BlendWeights { weights: [0.0; 4], answer: Answer::Hit };
@@ -173,7 +174,7 @@ pub(super) fn corrected(
     let (mut radiance, mut heaviest) = (Vec3::ZERO, 0);
     for k in 0..4 {
         if blend.weights[k] > 0.0 {
-            let look = looking(inverse, x - position(candidates[k]), &r, by);
+            let look = looking(inverse, x - position(candidates[k]), r, by);
             radiance += blend.weights[k] / sum * cubes.read_cube(u32::from(candidates[k]), &look)?;
         }
         if blend.weights[k] > blend.weights[heaviest] {

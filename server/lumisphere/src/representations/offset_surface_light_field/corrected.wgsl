@@ -130,10 +130,9 @@ fn agreeing_weights(candidates: vec4<u32>, x: vec3<f32>, n: vec3<f32>, r: vec3<f
     return weights;
 }
 
-fn corrected(at: Sight, across: Sight, down: Sight, candidates: vec4<u32>) -> Shaded {
+fn corrected(at: Sight, across: Sight, down: Sight, r: DirectionDifferential, candidates: vec4<u32>) -> Shaded {
     let x = at.position;
     let n = at.normal;
-    let r = mirrored(at, across, down);
     var inverse = first_met(candidates, x, r.direction);
     var blend = BlendWeights(vec4(0.0), HIT);
     if inverse >= 0.0 {

@@ -9,8 +9,9 @@ use bytemuck::{Pod, Zeroable};
 use rayon::prelude::*;
 
 use super::coarse::{Coarse, with_levels};
-use super::{Blend, Component, Filter, OffsetSurfaceLightField, Settings};
+use super::{Blend, Component, Filter, Gloss, OffsetSurfaceLightField, Settings};
 use crate::gpu::{Atlas, AtlasShape, Gpu, GpuCacheStats, GpuError, ReadBack, Shader, binding, storage_buffer, uniform_buffer};
+use crate::radiometry::brdf::BrdfUniform;
 use crate::representations::g_buffer::{BAND_BYTES_PER_PIXEL, Band, OUTPUT_WORDS, ProxyGeometry, Rasterizer, band_entries};
 use crate::representations::page_source::CountingSource;
 use crate::representations::{FrameRequest, GpuFrameStats, GpuKernel, Pixels, RenderError};
@@ -25,7 +26,9 @@ pub(crate) const SOURCE: &str = concat!(
     include_str!("../../directions/differential.wgsl"),
     include_str!("../../gpu/atlas.wgsl"),
     include_str!("kernel.wgsl"),
-    include_str!("corrected.wgsl")
+    include_str!("corrected.wgsl"),
+    include_str!("../../radiometry/brdf/brdf.wgsl"),
+    include_str!("gloss.wgsl")
 );
 
 /// Layout as WGSL's `Shading`.
@@ -44,7 +47,8 @@ pub(crate) struct ShadingUniform {
     pub first_pixel: u32,
     pub end_pixel: u32,
     pub pixel_scale: f32,
-    pub padding: [u32; 2],
+    pub directions: u32,
+    pub padding: u32,
 }
 
 // A band has at most this many pixels: 32 MiB on the device with everything that grows with it.
@@ -64,6 +68,7 @@ pub(crate) struct Kernel {
     rasterizer: Rasterizer,
     shader: Shader,
     shading: wgpu::Buffer,
+    gloss: wgpu::Buffer,
     sample_points: wgpu::Buffer,
     sample_maps: wgpu::Buffer,
     touched: wgpu::Buffer,
@@ -80,8 +85,8 @@ pub(crate) struct Kernel {
     earlier: GpuCacheStats,
 }
 
-// Component, blend, textures of the atlas, whether reads are filtered, whether coarse levels stand in.
-type PipelineKey = (u32, u32, usize, bool, bool);
+// Component, blend, BRDF, textures of the atlas, whether reads are filtered, whether coarse levels stand in.
+type PipelineKey = (u32, u32, u32, usize, bool, bool);
 
 struct BoundAtlas {
     atlas: Atlas,
@@ -110,6 +115,7 @@ impl Kernel {
             binding::read_buffer(4),
             binding::read_buffer(5),
             binding::write_buffer(6),
+            binding::uniform(7),
         ];
         let atlas_entries = [0, 1, 2, 3].map(binding::texture_array);
         let none = wgpu::BufferUsages::empty();
@@ -121,6 +127,7 @@ impl Kernel {
             rasterizer: Rasterizer::new(&gpu, &geometry)?,
             shader: Shader::new(&gpu, "offset surface light field", SOURCE, &[&band_entries(), &entries, &atlas_entries]),
             shading: uniform_buffer::<ShadingUniform>(&gpu, "shading"),
+            gloss: uniform_buffer::<BrdfUniform>(&gpu, "gloss"),
             sample_points: storage_buffer(&gpu, "sample points", &positions, none),
             sample_maps: storage_buffer(&gpu, "sample maps", &maps, none),
             touched: storage_buffer(&gpu, "touched", &touched_words, wgpu::BufferUsages::COPY_SRC),
@@ -209,7 +216,8 @@ impl Kernel {
 
     fn bind_resources(&self, atlas: &Atlas) -> wgpu::BindGroup {
         let [triangles, vertices] = self.rasterizer.object_buffers();
-        let resources = [triangles, vertices, &self.shading, &self.sample_points, &self.sample_maps, atlas.indirection(), &self.touched];
+        let (shading, points, maps) = (&self.shading, &self.sample_points, &self.sample_maps);
+        let resources = [triangles, vertices, shading, points, maps, atlas.indirection(), &self.touched, &self.gloss];
         self.shader.bind(&self.gpu, 1, &resources.map(wgpu::Buffer::as_entire_binding))
     }
 
@@ -230,10 +238,12 @@ impl Kernel {
     fn pipeline(&mut self, settings: &Settings, stand_in: bool) -> PipelineKey {
         let textures = self.atlas.as_ref().map_or(1, |a| a.atlas.texture_count());
         let filtered = settings.filter == Filter::Footprint;
-        let key = (component_number(settings.component), blend_number(settings), textures, filtered, stand_in);
+        let brdf = gloss(settings.component).map_or(0, |gloss| gloss.brdf.number());
+        let key = (component_number(settings.component), blend_number(settings), brdf, textures, filtered, stand_in);
         let constants = [
             ("COMPONENT", f64::from(key.0)),
             ("BLEND", f64::from(key.1)),
+            ("BRDF_MODEL", f64::from(key.2)),
             ("ATLAS_TEXTURES", textures as f64),
             ("FILTERED", f64::from(u8::from(filtered))),
             ("STAND_IN", f64::from(u8::from(stand_in))),
@@ -296,6 +306,14 @@ fn component_number(component: Component) -> u32 {
         Component::Reconstruction => 0,
         Component::Mirror => 1,
         Component::Full => 2,
+        Component::Glossy(_) => 3,
+    }
+}
+
+fn gloss(component: Component) -> Option<Gloss> {
+    match component {
+        Component::Glossy(gloss) => Some(gloss),
+        Component::Reconstruction | Component::Mirror | Component::Full => None,
     }
 }
 

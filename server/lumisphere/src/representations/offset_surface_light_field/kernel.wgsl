@@ -19,7 +19,9 @@ struct Shading {
     end_pixel: u32,
     // Pixels of the frame along an edge of one of this pass's: derivatives are divided by it.
     pixel_scale: f32,
-    padding: vec2<u32>,
+    // Of GLOSSY.
+    directions: u32,
+    padding: u32,
 }
 
 @group(1) @binding(0) var<storage, read> object_triangles: array<u32>;
@@ -30,6 +32,7 @@ struct Shading {
 @group(1) @binding(4) var<storage, read> sample_maps: array<vec2<u32>>;
 @group(1) @binding(5) var<storage, read> indirection: array<u32>;
 @group(1) @binding(6) var<storage, read_write> touched: array<atomic<u32>>;
+@group(1) @binding(7) var<uniform> gloss: BrdfUniform;
 
 // Component and Blend, as kernel.rs numbers them.
 override COMPONENT: u32 = 0u;
@@ -41,6 +44,7 @@ override STAND_IN: bool = false;
 
 const RECONSTRUCTION: u32 = 0u;
 const MIRROR: u32 = 1u;
+const GLOSSY: u32 = 3u;
 const DISTANCE: u32 = 0u;
 const ANGLE: u32 = 1u;
 const AVERAGE: u32 = 2u;
@@ -357,13 +361,16 @@ fn blend_weights(
 }
 
 fn mirror(at: Sight, across: Sight, down: Sight, candidates: vec4<u32>) -> Shaded {
+    return radiance_toward(at, across, down, mirrored(at, across, down), candidates);
+}
+
+fn radiance_toward(at: Sight, across: Sight, down: Sight, r: DirectionDifferential, candidates: vec4<u32>) -> Shaded {
     let x = at.position;
     let n = at.normal;
     if BLEND == CORRECTED {
-        let shaded = corrected(at, across, down, candidates);
+        let shaded = corrected(at, across, down, r, candidates);
         return Shaded(shading.specular_reflectance * shaded.radiance, shaded.provenance);
     }
-    let r = mirrored(at, across, down);
     if BLEND == ENVIRONMENT_MAP {
         let radiance = shading.specular_reflectance * read_cube(shading.baseline_cube, r);
         return Shaded(radiance, provenance_of(HIT, shading.baseline_cube));
@@ -417,6 +424,8 @@ fn shade_object(direction: vec3<f32>, point: ObjectPoint) -> Shaded {
         shaded = reconstruct(at, across, down, candidates);
     } else if COMPONENT == MIRROR {
         shaded = mirror(at, across, down, candidates);
+    } else if COMPONENT == GLOSSY {
+        shaded = glossy(at, across, down, point.tangent, candidates);
     } else {
         let own = reconstruct(at, across, down, candidates);
         let reflected = mirror(at, across, down, candidates);

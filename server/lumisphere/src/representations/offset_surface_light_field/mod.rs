@@ -6,6 +6,7 @@
 //! - mirror: `r = 2 n (n·v) − v`, `ŝⱼ = normalize(pⱼ − x)`, `L(x, v) = Σⱼ βⱼ Lᵢ(pⱼ; r)`, `Σⱼ βⱼ = 1`, βⱼ by [`Blend`];
 //! - mirror, depth-corrected: `Σⱼ βⱼ Lᵢ(pⱼ; x + t·r − pⱼ)`, t where the ray meets a surface by the stored distances (`corrected.rs`);
 //! - full: `reconstruction + C_s · mirror`;
+//! - glossy: `∫ f_r(v, l) Σⱼ βⱼ Lᵢ(pⱼ; l) (n·l) dl` by Monte Carlo, for any analytic BRDF (`gloss.rs`);
 //! - baseline: one environment map at the object's centre, taken without the object, read with r.
 //!
 //! Where it fails: near the horizon (85° when built, 65° when read), at high curvature, where something stands between p and x
@@ -17,6 +18,7 @@
 mod coarse;
 mod construct;
 mod corrected;
+mod gloss;
 #[cfg(feature = "gpu")]
 mod kernel;
 mod reference;
@@ -37,6 +39,7 @@ use crate::directions::{DirectionDifferential, FACES, PyramidLevel, Taps, Texel}
 use crate::geometry::TriangleMesh;
 #[cfg(feature = "gpu")]
 use crate::gpu::{Gpu, GpuError};
+use crate::radiometry::brdf::AnalyticBrdf;
 #[cfg(feature = "gpu")]
 use crate::representations::GpuKernel;
 use crate::representations::{CpuKernel, Kind, RenderError, Representation};
@@ -54,6 +57,8 @@ pub const CONSTRUCTION_HORIZON_DEG: f32 = 85.0;
 pub const RUNTIME_HORIZON_DEG: f32 = 65.0;
 /// Texels of a level are so many pixels wide where it is read alone: a bilinear read already takes the mean over a texel's width and more.
 const FOOTPRINT_WIDTH: f32 = 0.75;
+/// Most directions of [`Gloss`].
+pub const MOST_DIRECTIONS: u32 = 4096;
 /// Marks "no such sample point" in a sample map.
 pub const NO_SAMPLE: u16 = u16::MAX;
 
@@ -135,7 +140,7 @@ pub struct SampleMaps {
 }
 
 /// What of the object to show.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Component {
     /// Its own diffuse appearance.
     Reconstruction,
@@ -143,6 +148,17 @@ pub enum Component {
     Mirror,
     /// Reconstruction + C_s · mirror.
     Full,
+    /// What it would look like with another BRDF, in the light that is stored.
+    Glossy(Gloss),
+}
+
+/// How a surface reflects, and how precisely that is computed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Gloss {
+    /// Its diffuse part included.
+    pub brdf: AnalyticBrdf,
+    /// Directions drawn from it, 1 to [`MOST_DIRECTIONS`].
+    pub directions: u32,
 }
 
 /// Weights βⱼ of the texel's sample points in a mirror read; each set is normalised to sum 1.
@@ -203,6 +219,7 @@ impl Component {
             Self::Reconstruction => "reconstruction",
             Self::Mirror => "mirror",
             Self::Full => "full",
+            Self::Glossy(_) => "glossy",
         }
     }
 }

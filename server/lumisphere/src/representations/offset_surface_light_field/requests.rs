@@ -4,7 +4,7 @@
 use glam::{Vec2, Vec3};
 
 use super::corrected::InverseDistances;
-use super::shade::{ReadCube, mirror_direction, radiance_toward, shade_object, sight};
+use super::shade::{ReadCube, SINGLE, mirror_direction, radiance_toward, shade_object, sight};
 use super::{OffsetSurfaceLightField, Settings};
 use crate::directions::{DirectionDifferential, bilinear_footprint};
 use crate::geometry::Camera;
@@ -60,7 +60,7 @@ fn glossy(
         let toward = about(r, lobe.exponent, SampleSequence::new(lobe.seed, number, sample).pair());
         if toward.dot(at.normal) > 0.0 {
             let toward = DirectionDifferential::single(toward);
-            radiance_toward(field, settings, at.position, at.normal, &toward, candidates, cubes)?;
+            radiance_toward(field, settings, &at, &[SINGLE; 2], &toward, candidates, cubes)?;
         }
     }
     Ok(())

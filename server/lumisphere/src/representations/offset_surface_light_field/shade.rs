@@ -7,6 +7,7 @@
 use glam::Vec3;
 
 use super::corrected::{InverseDistances, corrected, sees};
+use super::gloss::glossy;
 use super::{Blend, Component, Filter, NO_SAMPLE, OffsetSurfaceLightField, RUNTIME_HORIZON_DEG, Settings};
 use crate::directions::{DirectionDifferential, PyramidLevel};
 use crate::geometry::Camera;
@@ -53,7 +54,7 @@ pub(super) struct Sight {
     pub direction: Vec3,
 }
 
-const SINGLE: Sight = Sight { position: Vec3::ZERO, normal: Vec3::ZERO, direction: Vec3::ZERO };
+pub(super) const SINGLE: Sight = Sight { position: Vec3::ZERO, normal: Vec3::ZERO, direction: Vec3::ZERO };
 
 /// Radiance and where it comes from.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -93,6 +94,10 @@ pub(super) fn shade_object(
             let own = reconstruct(field, settings, &at, &by, candidates, cubes)?;
             let reflected = mirror(field, settings, &at, &by, candidates, cubes)?;
             Shaded { radiance: own.radiance + reflected.radiance, provenance: worse(own.provenance, reflected.provenance) }
+        }
+        Component::Glossy(gloss) => {
+            let tangent = Vec3::from_slice(&pixel.tangent);
+            glossy(field, settings, &gloss, &at, &by, tangent, candidates, cubes)?
         }
     };
     if back {
@@ -179,23 +184,24 @@ pub(super) fn mirror(
     candidates: [u16; 4],
     cubes: &mut dyn ReadCube,
 ) -> Result<Shaded, RenderError> {
-    if settings.blend == Blend::Corrected {
-        let shaded = corrected(field, at, by, candidates, cubes)?;
-        return Ok(Shaded { radiance: settings.specular_reflectance * shaded.radiance, ..shaded });
-    }
-    radiance_toward(field, settings, at.position, at.normal, &mirrored(at, by), candidates, cubes)
+    radiance_toward(field, settings, at, by, &mirrored(at, by), candidates, cubes)
 }
 
 /// The same for any direction `r` (unit) in the mirror direction's place: `C_s Σⱼ βⱼ Lᵢ(pⱼ; r)`.
 pub(super) fn radiance_toward(
     field: &OffsetSurfaceLightField,
     settings: &Settings,
-    x: Vec3,
-    n: Vec3,
+    at: &Sight,
+    by: &[Sight; 2],
     r: &DirectionDifferential,
     candidates: [u16; 4],
     cubes: &mut dyn ReadCube,
 ) -> Result<Shaded, RenderError> {
+    let (x, n) = (at.position, at.normal);
+    if settings.blend == Blend::Corrected {
+        let shaded = corrected(field, at, by, r, candidates, cubes)?;
+        return Ok(Shaded { radiance: settings.specular_reflectance * shaded.radiance, ..shaded });
+    }
     if settings.blend == Blend::EnvironmentMap {
         let baseline = field.sample_points.len() as u32;
         let radiance = settings.specular_reflectance * cubes.read_cube(baseline, r)?;

@@ -3,6 +3,7 @@
 mod corrected;
 mod filter;
 pub(crate) mod fixture;
+mod gloss;
 #[cfg(feature = "gpu")]
 mod gpu_equals_cpu;
 #[cfg(feature = "gpu")]

@@ -224,8 +224,12 @@ impl Kernel {
         let key = self.pipeline(settings, fidelity == Fidelity::StandIn);
         let coarse = self.atlas.as_ref().expect("made before").coarse;
         self.stamp = self.stamp.wrapping_add(1).max(1);
+        let gloss = super::gloss(settings.component);
+        if let Some(gloss) = gloss {
+            self.gpu.queue().write_buffer(&self.gloss, 0, bytemuck::bytes_of(&gloss.brdf.uniform()));
+        }
         let uniform = ShadingUniform {
-            specular_reflectance: settings.specular_reflectance.into(),
+            specular_reflectance: if gloss.is_some() { [1.0; 3] } else { settings.specular_reflectance.into() },
             exponent: exponent(settings.blend),
             face_size: self.field.parameters.face_size_texels,
             map_size: self.field.sample_maps.size as u32,
@@ -237,7 +241,8 @@ impl Kernel {
             first_pixel: pixels.start,
             end_pixel: pixels.end,
             pixel_scale: if band == GLANCE_BAND { GLANCE_SCALE as f32 } else { 1.0 },
-            padding: [0; 2],
+            directions: gloss.map_or(0, |gloss| gloss.directions),
+            padding: 0,
         };
         self.gpu.queue().write_buffer(&self.shading, 0, bytemuck::bytes_of(&uniform));
         let (band, atlas) = (self.bands[band].as_ref().expect("made before"), self.atlas.as_ref().expect("made before"));

@@ -15,7 +15,7 @@ use crate::gpu::{GpuError, test_gpu};
 use crate::images::{Tolerance, count_beyond};
 use crate::render::{Backend, RenderError, Renderer};
 use crate::representations::g_buffer::{GBufferPixel, Seen};
-use crate::representations::offset_surface_light_field::{Blend, Component, Filter, OffsetSurfaceLightField, Settings};
+use crate::representations::offset_surface_light_field::{Blend, Component, Filter, Gloss, OffsetSurfaceLightField, Settings};
 use crate::representations::{
     Answer, CountingSource, FrameRequest, GpuFrameStats, GpuKernel, Outputs, Pixels, Provenance, Refine, RenderError as Error,
     Representation, Settings as AnySettings,
@@ -109,6 +109,30 @@ fn every_setting_agrees(world: &World, kept: usize) {
 #[test]
 fn shading_agrees_on_every_setting() {
     every_setting_agrees(&WORLD, 4);
+}
+
+#[test]
+fn glossy_shading_agrees_for_every_model() {
+    let world = World { room: 2.6, ..WORLD };
+    let Some(mut twins) = Twins::new(world.build(), BUDGET) else { return };
+    let camera = world.camera(Vec3::new(1.2, 0.9, 2.4), Vec3::new(0.1, -0.1, 0.0), 40, 30);
+    let models = [
+        r#"{"model": "lambert", "albedo": [0.5, 0.6, 0.7]}"#,
+        r#"{"model": "phong", "diffuse": [0.2, 0.2, 0.2], "specular": [0.5, 0.5, 0.5], "exponent": 50}"#,
+        r#"{"model": "ashikhmin_shirley", "diffuse": [0.3, 0.1, 0.1], "specular": [0.5, 0.5, 0.5], "exponent_u": 10, "exponent_v": 300}"#,
+        r#"{"model": "cook_torrance", "alpha_x": 0.3, "alpha_y": 0.2, "f0": [0.9, 0.7, 0.3]}"#,
+        r#"{"model": "ward", "diffuse": [0.1, 0.1, 0.1], "specular": [0.4, 0.4, 0.4], "alpha_x": 0.3, "alpha_y": 0.2}"#,
+    ];
+    for brdf in models.map(|json| serde_json::from_str(json).unwrap()) {
+        for (blend, filter) in [(Blend::Average, Filter::Bilinear), (Blend::Corrected, Filter::Footprint)] {
+            let settings = Settings { filter, ..settings(Component::Glossy(Gloss { brdf, directions: 12 }), blend) };
+            let (pixels, _) = twins.on_gpu(&camera, settings).unwrap();
+            let g_buffer = twins.kernel.read_g_buffer();
+            let (color, provenance) = twins.shaded(&camera, settings, &g_buffer);
+            let ours = (pixels.color.as_slice(), pixels.provenance.as_deref().unwrap());
+            agree((&color, &provenance), ours, &Tolerance::F32_LOOKUP, TIES).unwrap_or_else(|e| panic!("{settings:?}: {e}"));
+        }
+    }
 }
 
 #[test]
@@ -306,6 +330,7 @@ fn the_uniform_lies_in_memory_as_wgsl_has_it() {
             first_pixel,
             end_pixel,
             pixel_scale,
+            directions,
             padding
         }
     );

@@ -1,0 +1,65 @@
+//! Any BRDF by Monte Carlo on the cube maps: directions drawn from it, for each the sample points' light blended, as for a mirror. `gloss.wgsl`
+//! has the same functions by the same names.
+//!
+//! `L(x, v) ≈ 1/M Σₛ f_r(v, lₛ) (n·lₛ) / p(lₛ) · Σⱼ βⱼ Lᵢ(pⱼ; lₛ)`, the paper's second order of integration (blend, then integrate). The
+//! directions are the same for every pixel (Roberts' R2 sequence), so that there is no noise from one to the next. With
+//! `Filter::Footprint` each reads the mean over its share of the lobe, `1/(M·p)` (filtered importance sampling: Křivánek & Colbert 2008),
+//! and of what the pixel covers of a mirror's image: a few tens of directions do then. With `Filter::Bilinear` it reads four
+//! texels, as in the paper, and M directions show as M images of what is bright.
+
+use glam::{Vec2, Vec3};
+
+use super::shade::{NOTHING, ReadCube, Shaded, Sight, mirrored, radiance_toward};
+use super::{Filter, Gloss, NO_SAMPLE, OffsetSurfaceLightField, Settings};
+use crate::directions::DirectionDifferential;
+use crate::geometry::TangentFrame;
+use crate::radiometry::brdf::Brdf;
+use crate::representations::RenderError;
+use crate::representations::provenance::{Answer, Provenance};
+
+/// Radiance reflected by `gloss.brdf`, whose +X lies along `tangent`.
+#[allow(clippy::too_many_arguments)]
+pub(super) fn glossy(
+    field: &OffsetSurfaceLightField,
+    settings: &Settings,
+    gloss: &Gloss,
+    at: &Sight,
+    by: &[Sight; 2],
+    tangent: Vec3,
+    candidates: [u16; 4],
+    cubes: &mut dyn ReadCube,
+) -> Result<Shaded, RenderError> {
+    let Some(nearest) = candidates.into_iter().find(|j| *j != NO_SAMPLE) else { return Ok(NOTHING) };
+    let white = Settings { specular_reflectance: Vec3::ONE, ..*settings };
+    let frame = TangentFrame::along(at.normal, tangent);
+    let wo = frame.local_from_world(-at.direction);
+    let pixel = mirrored(at, by);
+    let covered = pixel.across.cross(pixel.down).length();
+    let (mut radiance, mut is_filled) = (Vec3::ZERO, false);
+    for number in 0..gloss.directions {
+        let Some((wi, density)) = gloss.brdf.sample(wo, place(number)) else { continue };
+        let weight = gloss.brdf.eval(wo, wi) * (wi.z / density);
+        let solid_angle = 1.0 / (gloss.directions as f32 * density) + covered;
+        let look = spread(frame.world_from_local(wi), solid_angle, settings.filter);
+        let found = radiance_toward(field, &white, at, by, &look, candidates, cubes)?;
+        radiance += weight * found.radiance;
+        is_filled |= found.provenance.answer() != Answer::Hit;
+    }
+    let answer = if is_filled { Answer::Filled } else { Answer::Hit };
+    Ok(Shaded { radiance: radiance / gloss.directions as f32, provenance: Provenance::new(answer, u32::from(nearest)) })
+}
+
+/// Point `number` of the R2 sequence (Roberts 2018) in [0, 1)², in whole numbers so that both twins have the same.
+fn place(number: u32) -> Vec2 {
+    let part = |step: u32| (number.wrapping_add(1).wrapping_mul(step) >> 8) as f32 / (1 << 24) as f32;
+    Vec2::new(part(3_242_174_889), part(2_447_445_413))
+}
+
+/// A square look of that solid angle, sr.
+fn spread(direction: Vec3, solid_angle: f32, filter: Filter) -> DirectionDifferential {
+    if filter == Filter::Bilinear {
+        return DirectionDifferential::single(direction);
+    }
+    let (frame, side) = (TangentFrame::around(direction), solid_angle.sqrt());
+    DirectionDifferential { direction, across: side * frame.tangent, down: side * frame.bitangent }
+}

@@ -1,0 +1,125 @@
+//! Glossy frames: energy, the limits at both ends of roughness, and what anisotropy refers to.
+
+use std::f32::consts::FRAC_1_PI;
+use std::sync::Arc;
+
+use glam::{Vec2, Vec3};
+
+use super::fixture::{MemoryPages, WORLD, World, environment_radiance};
+use super::{frame_of, mirror};
+use crate::geometry::{TangentFrame, tangent_along_u};
+use crate::radiometry::brdf::{AnalyticBrdf, AshikhminShirley, Brdf, CookTorrance, Lambert};
+use crate::representations::offset_surface_light_field::{Blend, Component, Filter, Gloss, OffsetSurfaceLightField, Settings};
+use crate::representations::{Answer, Pixels};
+use crate::textures::{Page, PixelFormat};
+
+const FINE: World = World { points: 120, quads: 32, pixel: PixelFormat::F32, ..WORLD };
+const ORIGIN: Vec3 = Vec3::new(0.5, 0.8, 3.0);
+const SIZE: (u32, u32) = (32, 24);
+
+fn glossy(brdf: AnalyticBrdf, directions: u32) -> Settings {
+    let component = Component::Glossy(Gloss { brdf, directions });
+    Settings { component, filter: Filter::Footprint, ..mirror(Blend::Normal { exponent: 4.0 }) }
+}
+
+fn shown(field: &OffsetSurfaceLightField, pages: &MemoryPages, settings: Settings) -> Pixels {
+    frame_of(field.clone(), pages, &FINE.camera(ORIGIN, Vec3::ZERO, SIZE.0, SIZE.1), settings).unwrap().pixels
+}
+
+// Calls `check(normal, ray direction, radiance)` for pixels that show the sphere no flatter than cos⁻¹ `steepest`.
+fn for_sphere_pixels(pixels: &Pixels, steepest: f32, mut check: impl FnMut(Vec3, Vec3, Vec3)) {
+    let camera = FINE.camera(ORIGIN, Vec3::ZERO, SIZE.0, SIZE.1);
+    let mut checked = 0;
+    for at in 0..SIZE.0 * SIZE.1 {
+        let (ray, index) = (camera.pixel_ray(at % SIZE.0, at / SIZE.0), at as usize);
+        if pixels.provenance.as_ref().unwrap()[index].answer() == Answer::Background {
+            continue;
+        }
+        let n = ray.at(pixels.depth.as_ref().unwrap()[index]).normalize();
+        if n.dot(ray.direction) < -steepest {
+            check(n, ray.direction, Vec3::from_slice(&pixels.color[3 * index..]));
+            checked += 1;
+        }
+    }
+    assert!(checked > 100, "only {checked} pixels show the sphere");
+}
+
+fn cook_torrance(alpha: f32) -> AnalyticBrdf {
+    AnalyticBrdf::CookTorrance(CookTorrance::new(Vec2::splat(alpha), Vec3::ONE, Vec3::ONE).unwrap())
+}
+
+/// Where everything shines with 1, a surface shines with its albedo: a white furnace.
+#[test]
+fn in_a_white_furnace_the_albedo_shows() {
+    let (field, mut pages) = FINE.build();
+    for page in &mut pages.0 {
+        *page = Arc::new(Page::from_f32(page.shape(), &vec![1.0; page.shape().values()]).unwrap());
+    }
+    let albedo = Vec3::new(0.7, 0.5, 0.2);
+    let lambert = AnalyticBrdf::Lambert(Lambert::new(albedo).unwrap());
+    for_sphere_pixels(&shown(&field, &pages, glossy(lambert, 16)), 0.05, |n, _, radiance| {
+        assert!((radiance - albedo).length() < 1e-4, "{radiance} at {n}");
+    });
+    for alpha in [1e-3, 0.1, 0.6] {
+        for_sphere_pixels(&shown(&field, &pages, glossy(cook_torrance(alpha), 256)), 0.5, |n, _, radiance| {
+            assert!(radiance.max_element() < 1.02 && (alpha > 0.3 || radiance.min_element() > 0.95), "α = {alpha}: {radiance} at {n}");
+        });
+    }
+}
+
+#[test]
+fn the_smoothest_is_a_mirror_and_the_roughest_the_sky_by_quadrature() {
+    let (field, pages) = FINE.build();
+    let mirrored = shown(&field, &pages, Settings { filter: Filter::Footprint, ..mirror(Blend::Normal { exponent: 4.0 }) });
+    let mut smooth = Vec::new();
+    for_sphere_pixels(&shown(&field, &pages, glossy(cook_torrance(1e-4), 16)), 0.3, |_, _, radiance| smooth.push(radiance));
+    let mut at = 0;
+    for_sphere_pixels(&mirrored, 0.3, |n, _, radiance| {
+        assert!((smooth[at] - radiance).length() < 0.02, "{} at {n} where the mirror shows {radiance}", smooth[at]);
+        at += 1;
+    });
+    // E / π by 4096 directions about n. Read unfiltered: a wide mean at a sample point takes in some of the sphere below its horizon.
+    let lambert = AnalyticBrdf::Lambert(Lambert::new(Vec3::ONE).unwrap());
+    let unfiltered = Settings { filter: Filter::Bilinear, ..glossy(lambert, 1024) };
+    for_sphere_pixels(&shown(&field, &pages, unfiltered), 0.3, |n, _, radiance| {
+        let frame = TangentFrame::around(n);
+        let direction = |k: u32| {
+            let (row, column) = (k / 64, k % 64);
+            let (r, phi) = (((row as f32 + 0.5) / 64.0).sqrt(), std::f32::consts::TAU * (column as f32 + 0.5) / 64.0);
+            frame.world_from_local(Vec3::new(r * phi.cos(), r * phi.sin(), (1.0 - r * r).sqrt()))
+        };
+        let expected = (0..4096).map(|k| environment_radiance(direction(k))).sum::<Vec3>() / 4096.0;
+        assert!((radiance - expected).length() < 0.02, "{radiance} at {n} where {expected} is expected");
+    });
+}
+
+/// The lobe of a brushed surface is narrow along u: the picture is that of a quadrature over the BRDF in the frame along u.
+#[test]
+fn anisotropy_lies_along_the_surfaces_u() {
+    let (field, pages) = FINE.build();
+    let brdf = AshikhminShirley::new(Vec3::ZERO, Vec3::splat(0.9), Vec2::new(400.0, 4.0)).unwrap();
+    let along_u = shown(&field, &pages, glossy(AnalyticBrdf::AshikhminShirley(brdf), 256));
+    let across_u = AshikhminShirley::new(Vec3::ZERO, Vec3::splat(0.9), Vec2::new(4.0, 400.0)).unwrap();
+    let mesh = &field.surface.mesh;
+    let tangent = |n: Vec3| {
+        let center = |t: &[u32; 3]| t.map(|v| mesh.positions[v as usize]).iter().sum::<Vec3>().normalize();
+        let t = mesh.triangles.iter().max_by(|a, b| center(a).dot(n).total_cmp(&center(b).dot(n))).unwrap();
+        tangent_along_u(t.map(|v| mesh.positions[v as usize]), t.map(|v| mesh.uvs[v as usize]))
+    };
+    let (mut error, mut other) = (0.0, 0.0);
+    for_sphere_pixels(&along_u, 0.5, |n, d, radiance| {
+        let frame = TangentFrame::along(n, tangent(n));
+        let wo = frame.local_from_world(-d);
+        let integral = |brdf: &dyn Brdf| {
+            let cell = |k: u32| {
+                let (z, phi) = (((k / 256) as f32 + 0.5) / 128.0, std::f32::consts::TAU * ((k % 256) as f32 + 0.5) / 256.0);
+                let wi = Vec3::new((1.0 - z * z).sqrt() * phi.cos(), (1.0 - z * z).sqrt() * phi.sin(), z);
+                brdf.eval(wo, wi) * environment_radiance(frame.world_from_local(wi)) * z
+            };
+            (0..128 * 256).map(cell).sum::<Vec3>() * (2.0 / (FRAC_1_PI * 128.0 * 256.0))
+        };
+        error += (radiance - integral(&brdf)).length_squared();
+        other += (radiance - integral(&across_u)).length_squared();
+    });
+    assert!(error < 0.1 * other, "{error} from the lobe along u, {other} from the one across it");
+}
