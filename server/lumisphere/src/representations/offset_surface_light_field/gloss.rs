@@ -17,6 +17,9 @@ use crate::radiometry::brdf::Brdf;
 use crate::representations::RenderError;
 use crate::representations::provenance::{Answer, Provenance};
 
+/// A direction reads so many times its share of the lobe: side by side, shares would show (Křivánek & Colbert's K).
+const OVERLAP: f32 = 4.0;
+
 /// Radiance reflected by `gloss.brdf`, whose +X lies along `tangent`.
 #[allow(clippy::too_many_arguments)]
 pub(super) fn glossy(
@@ -39,7 +42,7 @@ pub(super) fn glossy(
     for number in 0..gloss.directions {
         let Some((wi, density)) = gloss.brdf.sample(wo, place(number)) else { continue };
         let weight = gloss.brdf.eval(wo, wi) * (wi.z / density);
-        let solid_angle = 1.0 / (gloss.directions as f32 * density) + covered;
+        let solid_angle = OVERLAP / (gloss.directions as f32 * density) + covered;
         let look = spread(frame.world_from_local(wi), solid_angle, settings.filter);
         let found = radiance_toward(field, &white, at, by, &look, candidates, cubes)?;
         radiance += weight * found.radiance;

@@ -1,5 +1,7 @@
 // Twin of gloss.rs: the same functions by the same names. Part of kernel.wgsl.
 
+const OVERLAP: f32 = 4.0;
+
 struct TangentFrame {
     tangent: vec3<f32>,
     bitangent: vec3<f32>,
@@ -47,7 +49,7 @@ fn glossy(at: Sight, across: Sight, down: Sight, tangent: vec3<f32>, candidates:
         let drawn = brdf_sample(gloss, wo, place(number));
         if drawn.pdf > 0.0 {
             let weight = brdf_eval(gloss, wo, drawn.wi) * (drawn.wi.z / drawn.pdf);
-            let solid_angle = 1.0 / (f32(shading.directions) * drawn.pdf) + covered;
+            let solid_angle = OVERLAP / (f32(shading.directions) * drawn.pdf) + covered;
             let look = spread(world_from_local(frame, drawn.wi), solid_angle);
             let found = radiance_toward(at, across, down, look, candidates);
             radiance += weight * found.radiance;
