@@ -168,6 +168,8 @@ impl Renderer {
         request: &FrameRequest<'_>,
         backend: Option<Backend>,
     ) -> Result<Frame, RenderError> {
+        let intrinsics = request.camera.intrinsics();
+        request.settings.check_frame(u64::from(intrinsics.width_px) * u64::from(intrinsics.height_px))?;
         match backend.unwrap_or(self.default_backend()) {
             Backend::Cpu => self.render_on_cpu(representation, pages, request, None),
             #[cfg(feature = "gpu")]

@@ -100,6 +100,19 @@ impl Settings {
         }
     }
 
+    /// Whether a frame of that many pixels is little enough work to be started.
+    pub fn check_frame(&self, pixels: u64) -> Result<(), RenderError> {
+        let most = oslf::MOST_DIRECTIONS_PER_FRAME;
+        match self {
+            Self::OffsetSurfaceLightField(oslf::Settings { component: oslf::Component::Glossy(gloss), .. })
+                if pixels * u64::from(gloss.directions) > most =>
+            {
+                Err(RenderError::TooManyDirections { pixels, directions: gloss.directions, most })
+            }
+            Self::OffsetSurfaceLightField(_) => Ok(()),
+        }
+    }
+
     /// Reflectance of the reflected part, and whether the diffuse part is shown too; None where nothing is reflected.
     pub fn reflection(&self) -> Option<(glam::Vec3, bool)> {
         match self {
@@ -257,6 +270,16 @@ pub enum RenderError {
     #[cfg(feature = "gpu")]
     #[error(transparent)]
     Gpu(#[from] GpuError),
+    /// More work than a frame may be.
+    #[error("{pixels} pixels of {directions} directions each, at most {most} directions a frame expected: fewer of either")]
+    TooManyDirections {
+        /// Of the frame.
+        pixels: u64,
+        /// Of each pixel.
+        directions: u32,
+        /// Their product's limit.
+        most: u64,
+    },
     /// Requests of such a frame cannot be recorded.
     #[error(
         "which texels depth-corrected reads ask for depends on what is stored; to record a frame another blend than corrected is expected"

@@ -172,10 +172,10 @@ pub(super) fn corrected(
     }
     let sum: f32 = blend.weights.iter().sum();
     let (mut radiance, mut heaviest) = (Vec3::ZERO, 0);
-    for k in 0..4 {
+    for (k, j) in candidates.into_iter().enumerate() {
         if blend.weights[k] > 0.0 {
-            let look = looking(inverse, x - position(candidates[k]), r, by);
-            radiance += blend.weights[k] / sum * cubes.read_cube(u32::from(candidates[k]), &look)?;
+            let look = looking(inverse, x - position(j), r, by);
+            radiance += blend.weights[k] / sum * cubes.read_cube(u32::from(j), &look)?;
         }
         if blend.weights[k] > blend.weights[heaviest] {
             heaviest = k;

@@ -26,6 +26,8 @@ use crate::textures::{Page, PageId};
 const PAGES_IN_FLIGHT: usize = 256;
 // A look ahead is so much coarser than the frame, along each axis.
 const GLANCE_SCALE: u32 = 4;
+// In one submission; a band of single reads has fewer pixels.
+const MOST_DIRECTIONS_AT_ONCE: u32 = 1 << 22;
 // Which pages a depth-corrected read wants depends on what others hold: seldom on more than two, one after the other.
 const MOST_ROUNDS: u32 = 8;
 const FRAME_BAND: usize = 0;
@@ -148,7 +150,7 @@ impl Kernel {
         let band = &self.bands[FRAME_BAND].as_ref().expect("made above").band;
         let pixels = band.pixels();
         self.rasterizer.draw(&gpu, &mut encoder, camera, first_row, band)?;
-        let mut parts = vec![Part { pixels: 0..pixels, rounds: 0 }];
+        let mut parts = in_ranges(pixels, frame.settings);
         let mut passes = 0;
         while let Some(part) = parts.pop() {
             let recorded = std::mem::replace(&mut encoder, new_encoder(&gpu));
@@ -333,6 +335,13 @@ impl Kernel {
         frame.stats.read_back_millis += millis_since(begin);
         Ok(())
     }
+}
+
+// Work of one submission: drivers give up on a device that does not answer for seconds.
+fn in_ranges(pixels: u32, settings: &Settings) -> Vec<Part> {
+    let directions = super::gloss(settings.component).map_or(1, |gloss| gloss.directions);
+    let step = (MOST_DIRECTIONS_AT_ONCE / directions).max(1);
+    (0..pixels).step_by(step as usize).map(|first| Part { pixels: first..pixels.min(first.saturating_add(step)), rounds: 0 }).collect()
 }
 
 // Two parts of fewer pixels; None where there is only one.

@@ -10,7 +10,7 @@ use super::{frame_of, mirror};
 use crate::geometry::{TangentFrame, tangent_along_u};
 use crate::radiometry::brdf::{AnalyticBrdf, AshikhminShirley, Brdf, CookTorrance, Lambert};
 use crate::representations::offset_surface_light_field::{Blend, Component, Filter, Gloss, OffsetSurfaceLightField, Settings};
-use crate::representations::{Answer, Pixels};
+use crate::representations::{Answer, Pixels, RenderError};
 use crate::textures::{Page, PixelFormat};
 
 const FINE: World = World { points: 120, quads: 32, pixel: PixelFormat::F32, ..WORLD };
@@ -122,4 +122,13 @@ fn anisotropy_lies_along_the_surfaces_u() {
         other += (radiance - integral(&across_u)).length_squared();
     });
     assert!(error < 0.1 * other, "{error} from the lobe along u, {other} from the one across it");
+}
+
+#[test]
+fn more_directions_than_a_frame_may_draw_are_refused() {
+    let (field, pages) = FINE.build();
+    let camera = FINE.camera(ORIGIN, Vec3::ZERO, 256, 129);
+    let settings = glossy(cook_torrance(0.1), 2048);
+    let refused = frame_of(field, &pages, &camera, settings).unwrap_err();
+    assert!(matches!(refused, RenderError::TooManyDirections { pixels: 33_024, directions: 2048, most: 67_108_864 }), "{refused}");
 }
