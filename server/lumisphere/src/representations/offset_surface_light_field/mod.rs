@@ -59,8 +59,8 @@ pub const RUNTIME_HORIZON_DEG: f32 = 65.0;
 const FOOTPRINT_WIDTH: f32 = 0.75;
 /// Most directions of [`Gloss`].
 pub const MOST_DIRECTIONS: u32 = 4096;
-/// Most of a frame, over all its pixels: such a frame takes seconds on a rasteriser in software, not minutes.
-pub const MOST_DIRECTIONS_PER_FRAME: u64 = 1 << 26;
+/// Most of a frame, over all its pixels: 1920 × 1080 of 64 each; on a rasteriser in software that is a minute.
+pub const MOST_DIRECTIONS_PER_FRAME: u64 = 1 << 27;
 /// Marks "no such sample point" in a sample map.
 pub const NO_SAMPLE: u16 = u16::MAX;
 

@@ -128,7 +128,7 @@ fn anisotropy_lies_along_the_surfaces_u() {
 fn more_directions_than_a_frame_may_draw_are_refused() {
     let (field, pages) = FINE.build();
     let camera = FINE.camera(ORIGIN, Vec3::ZERO, 256, 129);
-    let settings = glossy(cook_torrance(0.1), 2048);
+    let settings = glossy(cook_torrance(0.1), 4096);
     let refused = frame_of(field, &pages, &camera, settings).unwrap_err();
-    assert!(matches!(refused, RenderError::TooManyDirections { pixels: 33_024, directions: 2048, most: 67_108_864 }), "{refused}");
+    assert!(matches!(refused, RenderError::TooManyDirections { pixels: 33_024, directions: 4096, most: 134_217_728 }), "{refused}");
 }
