@@ -35,7 +35,7 @@ pub struct GlossFlags {
     #[arg(long, value_name = "JSON")]
     pub brdf: Option<String>,
     /// Directions drawn from it for each pixel, 1 to 4096 [default: 64]
-    #[arg(long, value_name = "N", default_value_t = 0, hide_default_value = true)]
+    #[arg(long, value_name = "N", default_value_t = 0, hide_default_value = true, requires = "brdf")]
     pub directions: u32,
 }
 
@@ -59,6 +59,19 @@ pub enum Component {
     Full,
     /// With the BRDF of --brdf
     Glossy,
+}
+
+impl Component {
+    /// Which of `blends` make a difference: reconstruction has none, and is shown once; corrected, too, if that is among them.
+    pub fn blends(self, blends: &[Blend]) -> Vec<Blend> {
+        match self {
+            Self::Reconstruction => {
+                let corrected = blends.iter().copied().filter(|blend| *blend == Blend::Corrected);
+                std::iter::once(Blend::Distance).chain(corrected).collect()
+            }
+            Self::Mirror | Self::Full | Self::Glossy => blends.to_vec(),
+        }
+    }
 }
 
 /// Where to compute.

@@ -82,6 +82,9 @@ impl SweepFile {
         let mut captures = Vec::new();
         for section in top.sections("capture")? {
             captures.extend(capture_axes(section, folder)?);
+            if captures.len() > MAX_ROWS {
+                break;
+            }
         }
         if datasets.is_empty() && captures.is_empty() {
             return Err(top.error("datasets or a table [capture] expected: nothing to evaluate").into());
@@ -199,18 +202,22 @@ fn capture_axes(mut s: Section, folder: &Path) -> anyhow::Result<Vec<Capture>> {
         environment_rotation_deg: 0.0,
     };
     let capture = |name: &String, spec: &wire::CaptureSpec| Capture { scene: scene(name), axes: axes(spec), spec: spec.clone() };
-    // Neither list is long: both were written by hand.
-    Ok(scenes.iter().flat_map(|name| all.iter().map(move |spec| capture(name, spec))).collect())
+    let each = scenes.iter().flat_map(|name| all.iter().map(move |spec| (name, spec)));
+    Ok(each.map(|(name, spec)| capture(name, spec)).take(MAX_ROWS + 1).collect())
 }
 
-/// Each of `all` with each of `values`.
+/// Each of `all` with each of `values`; no more than tell that there are too many.
 fn crossed<S: Clone, T>(all: &[S], values: &[T], set: impl Fn(&mut S, &T)) -> Vec<S> {
     let with = |one: &S, value: &T| {
         let mut one = one.clone();
         set(&mut one, value);
         one
     };
-    all.iter().flat_map(|one| values.iter().map(|value| with(one, value)).collect::<Vec<_>>()).collect()
+    all.iter()
+        .flat_map(|one| values.iter().map(move |value| (one, value)))
+        .map(|(one, value)| with(one, value))
+        .take(MAX_ROWS + 1)
+        .collect()
 }
 
 fn axes(c: &wire::CaptureSpec) -> BTreeMap<&'static str, String> {
@@ -280,10 +287,11 @@ fn setting_axes(mut s: Section) -> anyhow::Result<(Vec<Setting>, [f32; 3])> {
     let mut all = Vec::new();
     for &filter in &filters {
         for &component in &components {
-            // Reconstruction has no blend, so it is evaluated once.
-            let blends = if component == Component::Reconstruction { &[Blend::Distance][..] } else { &blends };
-            for &blend in blends {
+            for blend in component.blends(&blends) {
                 for &backend in &backends {
+                    if all.len() > MAX_SETTINGS {
+                        return Ok((all, specular));
+                    }
                     let name = backend.to_possible_value().map(|v| v.get_name().to_string()).unwrap_or_default();
                     all.push(Setting {
                         wire: settings(component, blend, specular, filter, backend, &GlossFlags::default()),

@@ -58,8 +58,8 @@ fn a_scene_file_becomes_a_dataset_pictures_and_a_table_of_errors() {
     let errors = folder.path().join("errors");
     let evaluated = server.json(&[&["evaluate", "--dataset", DATASET, "--out", errors.to_str().unwrap(), "--quiet"], &orbit[..]].concat());
     let rows = evaluated["summary"]["rows"].as_array().unwrap_or_else(|| panic!("{evaluated:#}"));
-    // Reconstruction, and mirror by five blends and the baseline.
-    assert_eq!(rows.len(), 7, "{evaluated:#}");
+    // Reconstruction, by depth, too; and mirror by six blends and the baseline.
+    assert_eq!(rows.len(), 9, "{evaluated:#}");
     for row in rows {
         assert!(row["rmse_rgb"][0].as_f64().is_some_and(|e| e.is_finite() && e >= 0.0), "{row:#}");
     }

@@ -130,17 +130,10 @@ impl EvaluateFlags {
         })
     }
 
-    /// Reconstruction has no blend, so it is evaluated once, and corrected if that is asked for.
     fn settings(&self) -> Vec<wire::RenderSettings> {
         let one = |component, blend, filter| settings(component, blend, self.specular, filter, self.backend, &self.gloss);
-        let of = |component: Component, filter: Filter| match component {
-            Component::Reconstruction => {
-                let corrected = self.blends.iter().copied().filter(|blend| *blend == Blend::Corrected);
-                std::iter::once(Blend::Distance).chain(corrected).map(|blend| one(component, blend, filter)).collect::<Vec<_>>()
-            }
-            Component::Mirror | Component::Full | Component::Glossy => {
-                self.blends.iter().map(|&blend| one(component, blend, filter)).collect()
-            }
+        let of = |component: Component, filter: Filter| {
+            component.blends(&self.blends).into_iter().map(move |blend| one(component, blend, filter))
         };
         self.filters.iter().flat_map(|&filter| self.components.iter().flat_map(move |&component| of(component, filter))).collect()
     }

@@ -168,8 +168,7 @@ impl Renderer {
         request: &FrameRequest<'_>,
         backend: Option<Backend>,
     ) -> Result<Frame, RenderError> {
-        let intrinsics = request.camera.intrinsics();
-        request.settings.check_frame(u64::from(intrinsics.width_px) * u64::from(intrinsics.height_px))?;
+        request.settings.check_frame(request.camera)?;
         match backend.unwrap_or(self.default_backend()) {
             Backend::Cpu => self.render_on_cpu(representation, pages, request, None),
             #[cfg(feature = "gpu")]
@@ -265,6 +264,7 @@ impl Renderer {
         request: &FrameRequest<'_>,
         upload_bytes: u64,
     ) -> Result<usize, RenderError> {
+        request.settings.check_frame(request.camera)?;
         let Some(side) = &self.gpu else { return Ok(0) };
         let mut tier = side.tier();
         let mut entry = tier.take(&side.gpu, representation)?;

@@ -82,12 +82,15 @@ pub async fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<()>
 
 /// What the server would refuse later, when captures are done.
 fn check_limits(views: &Views, limits: &wire::Limits) -> Result<(), Failure> {
-    let sizes: Vec<(u32, u32)> = match views {
-        Views::Orbit(orbit) => vec![(orbit.width_px, orbit.height_px); orbit.count as usize],
-        Views::Cameras(cameras) => cameras.iter().filter_map(|(_, c)| c.intrinsics).map(|i| (i.width_px, i.height_px)).collect(),
+    let (count, sizes): (u64, Vec<(u32, u32)>) = match views {
+        Views::Orbit(orbit) => (orbit.count.into(), vec![(orbit.width_px, orbit.height_px)]),
+        Views::Cameras(cameras) => {
+            let sizes = cameras.iter().filter_map(|(_, c)| c.intrinsics).map(|i| (i.width_px, i.height_px));
+            (cameras.len() as u64, sizes.collect())
+        }
     };
-    if sizes.len() as u64 > limits.max_cameras_per_job {
-        return Err(Failure::Usage(format!("{} views, at most {} expected by this server", sizes.len(), limits.max_cameras_per_job)));
+    if count > limits.max_cameras_per_job {
+        return Err(Failure::Usage(format!("{count} views, at most {} expected by this server", limits.max_cameras_per_job)));
     }
     let large = sizes.iter().find(|(w, h)| u64::from(*w) * u64::from(*h) > limits.max_pixels_per_frame || *w == 0 || *h == 0);
     match large {
@@ -209,14 +212,15 @@ fn conditions(file: &SweepFile, about: &Value, adapter: &str, server: String) ->
 
 fn write_files(sweep: &Sweep, metric: Metric, out: &Path, existing: Existing) -> anyhow::Result<()> {
     let chart = evaluate::chart(sweep, metric);
-    let contents = [
-        serde_json::to_string_pretty(sweep)?.into_bytes(),
-        evaluate::csv(&sweep.rows)?.into_bytes(),
-        svg(&chart)?.into_bytes(),
-        png(&chart)?,
-        evaluate::report(sweep, metric)?.into_bytes(),
+    // Each before the next is drawn: a chart that cannot be loses no figures.
+    let draw: [&dyn Fn() -> anyhow::Result<Vec<u8>>; 5] = [
+        &|| Ok(serde_json::to_string_pretty(sweep)?.into_bytes()),
+        &|| Ok(evaluate::csv(&sweep.rows)?.into_bytes()),
+        &|| Ok(svg(&chart)?.into_bytes()),
+        &|| Ok(png(&chart)?),
+        &|| Ok(evaluate::report(sweep, metric)?.into_bytes()),
     ];
-    FILES.iter().zip(contents).try_for_each(|(name, bytes)| write_atomically(&out.join(name), &bytes, existing))
+    FILES.iter().zip(draw).try_for_each(|(name, content)| write_atomically(&out.join(name), &content()?, existing))
 }
 
 /// A table a group; rows on the front are starred.

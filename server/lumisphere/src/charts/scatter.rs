@@ -78,7 +78,7 @@ const INK: RGBColor = RGBColor(30, 30, 30);
 
 impl Mark {
     fn is_drawn(&self) -> bool {
-        self.x > 0.0 && self.x.is_finite() && self.y >= 0.0 && self.y.is_finite()
+        (1e-9..1e15).contains(&self.x) && (0.0..1e15).contains(&self.y)
     }
 }
 

@@ -106,6 +106,18 @@ pub fn evaluate<E: std::error::Error>(
     if plan.cameras.is_empty() || plan.settings.is_empty() || plan.timed_frames == 0 {
         return Err(EvaluateError::Plan("at least one camera, one setting and one timed frame expected".into()));
     }
+    let mut brdfs: Vec<BrdfModel> = Vec::new();
+    for brdf in plan.settings.iter().filter_map(|s| s.brdf()).map(BrdfModel::from) {
+        if !brdfs.contains(&brdf) {
+            brdfs.push(brdf);
+        }
+    }
+    if brdfs.len() > MOST_BRDFS {
+        return Err(EvaluateError::Plan(format!("{} BRDFs, at most {MOST_BRDFS} expected", brdfs.len())));
+    }
+    for camera in &plan.cameras {
+        plan.settings.iter().try_for_each(|s| s.check_frame(camera)).map_err(|e| EvaluateError::Plan(e.to_string()))?;
+    }
     let object = scene.object(&plan.object).ok_or_else(|| EvaluateError::Plan(format!("scene has no object {:?}", plan.object)))?;
     let truths = TruthRenderer::new(scene, object)?;
     let slugs = slugs(&plan.settings);
@@ -116,7 +128,6 @@ pub fn evaluate<E: std::error::Error>(
         progress.report("tracing the truth", done, steps);
         let wanted: Vec<Truth> = plan.settings.iter().flat_map(|s| truths_of(s, plan)).collect();
         let mut view = truths.view(camera, &wanted, &plan.trace, progress)?;
-        let brdfs: Vec<BrdfModel> = plan.settings.iter().filter_map(|s| s.brdf()).map(BrdfModel::from).collect();
         truths.add_glossy(&mut view, camera, &brdfs, &plan.trace, progress)?;
         if !view.mask.contains(&true) {
             return Err(EvaluateError::Plan(format!("camera {v} shows no pixel of object {:?} with all its neighbours", plan.object)));
@@ -143,6 +154,9 @@ pub fn evaluate<E: std::error::Error>(
     let of_setting = |(i, total): (usize, Total)| total.rows(i, plan.settings[i].name(), &slugs[i]);
     Ok(totals.into_iter().enumerate().flat_map(of_setting).collect())
 }
+
+/// A view's truths are held together: one picture a BRDF.
+const MOST_BRDFS: usize = 8;
 
 // What a setting is compared with: what is no mirror has one truth only.
 fn truths_of(settings: &Settings, plan: &Plan) -> Vec<Truth> {

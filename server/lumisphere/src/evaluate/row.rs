@@ -42,7 +42,7 @@ pub struct Row {
 /// but for what settings share.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PictureNames {
-    /// What is true; shared by all settings of one component.
+    /// What is true; shared by all settings of one component, glossy ones aside.
     pub truth: String,
     /// What was rendered.
     pub frame: String,
@@ -53,9 +53,11 @@ pub struct PictureNames {
 impl PictureNames {
     /// `slug` names the setting among those of the evaluation.
     pub(super) fn new(view: usize, component: &str, slug: &str, truth: Truth) -> Self {
+        // What is true of a BRDF is so of one setting.
+        let of = if truth == Truth::OneGlossyReflection { slug } else { component };
         let truth = truth.name();
         Self {
-            truth: format!("view-{view:02}-{component}-{truth}-truth"),
+            truth: format!("view-{view:02}-{of}-{truth}-truth"),
             frame: format!("view-{view:02}-{slug}-frame"),
             error: format!("view-{view:02}-{slug}-{truth}-error"),
         }

@@ -100,12 +100,13 @@ impl Settings {
         }
     }
 
-    /// Whether a frame of that many pixels is little enough work to be started.
-    pub fn check_frame(&self, pixels: u64) -> Result<(), RenderError> {
+    /// Whether such a frame of `camera` is little enough work to be started.
+    pub fn check_frame(&self, camera: &Camera) -> Result<(), RenderError> {
+        let pixels = u64::from(camera.intrinsics().width_px) * u64::from(camera.intrinsics().height_px);
         let most = oslf::MOST_DIRECTIONS_PER_FRAME;
         match self {
             Self::OffsetSurfaceLightField(oslf::Settings { component: oslf::Component::Glossy(gloss), .. })
-                if pixels * u64::from(gloss.directions) > most =>
+                if pixels.saturating_mul(gloss.directions.into()) > most =>
             {
                 Err(RenderError::TooManyDirections { pixels, directions: gloss.directions, most })
             }

@@ -158,11 +158,16 @@ impl Wish {
             return Err(ApiError::field("cameras", problem));
         }
         let cameras = m.cameras.into_iter().enumerate().map(|(i, c)| camera(Some(c), limits.max_pixels, &format!("cameras[{i}]")));
+        let settings = render_settings(m.settings, "settings")?.settings;
+        if settings.brdf().is_some() {
+            let problem = "GLOSSY, another component expected: a recording's own lobe draws directions";
+            return Err(ApiError::field("settings.offset_surface_light_field.component", problem));
+        }
         Ok(Self {
             dataset: wire::dataset_name(&m.dataset, "dataset")?,
             version: m.version,
             cameras: cameras.collect::<Result<_, _>>()?,
-            settings: render_settings(m.settings, "settings")?.settings,
+            settings,
             order,
             lobe,
         })

@@ -10,6 +10,8 @@ use super::{proto, required, within};
 use crate::config::BackendChoice;
 use crate::errors::{ApiError, Reason};
 
+/// Of `Gloss.brdf`: more than any model needs.
+const MAX_BRDF_BYTES: usize = 2048;
 /// Default of `Gloss.directions`.
 const DEFAULT_DIRECTIONS: u32 = 64;
 /// Default N of the blends that have one.
@@ -142,8 +144,11 @@ fn component(
 
 fn gloss(message: Option<proto::offset_surface_light_field_settings::Gloss>, field: &str) -> Result<oslf::Gloss, ApiError> {
     let message = required(message, field)?;
-    let brdf =
-        serde_json::from_str(&message.brdf).map_err(|e| ApiError::field(format!("{field}.brdf"), format!("{e} in {:?}", message.brdf)))?;
+    let wrong = |problem: String| ApiError::field(format!("{field}.brdf"), problem);
+    if message.brdf.len() > MAX_BRDF_BYTES {
+        return Err(wrong(format!("{} bytes, at most {MAX_BRDF_BYTES} expected", message.brdf.len())));
+    }
+    let brdf = serde_json::from_str(&message.brdf).map_err(|e| wrong(format!("{e} in {:?}", message.brdf)))?;
     let directions = if message.directions == 0 { DEFAULT_DIRECTIONS } else { message.directions };
     if directions > oslf::MOST_DIRECTIONS {
         return Err(ApiError::field(format!("{field}.directions"), format!("{directions}, 1 to {} expected", oslf::MOST_DIRECTIONS)));
@@ -226,6 +231,7 @@ mod tests {
         assert!(glossy(lambert, 5000).unwrap_err().to_string().starts_with("s.gloss.directions: 5000, 1 to 4096"));
         for (bad, problem) in [
             ("", "EOF"),
+            (&" ".repeat(3000), "3000 bytes"),
             (r#"{"model": "velvet"}"#, "unknown variant `velvet`"),
             (r#"{"model": "lambert", "albedo": [0.5, 1.5, 0.5]}"#, "albedo"),
             (r#"{"model": "lambert", "albedo": [0.5, 0.5, 0.5], "gloss": 1}"#, "unknown field"),

@@ -34,14 +34,17 @@ pub struct Measured {
     highlight_share: f32,
 }
 
+/// More than any surface measured has, and sums of it stay finite.
+const LARGEST_VALUE: f32 = 1e6;
+
 impl Measured {
-    /// `values`: sr⁻¹, finite, not negative, φ_d fastest, then θ_d, then θ_h: [`MEASURED_SHAPE`].
+    /// `values`: sr⁻¹, 0 to 10⁶, φ_d fastest, then θ_d, then θ_h: [`MEASURED_SHAPE`].
     pub fn new(values: Vec<Vec3>) -> Result<Self, BrdfError> {
         if values.len() != HALVES * TILTS * TURNS {
             return Err(wrong("values", format!("a list of {}", values.len()), "90 × 90 × 180 values"));
         }
-        if let Some(value) = values.iter().find(|v| !(v.is_finite() && v.min_element() >= 0.0)) {
-            return Err(wrong("values", value, "finite numbers, not negative"));
+        if let Some(value) = values.iter().find(|v| !(v.is_finite() && v.min_element() >= 0.0 && v.max_element() <= LARGEST_VALUE)) {
+            return Err(wrong("values", value, "numbers from 0 to 1e6"));
         }
         let edges: Vec<f64> = (0..=HALVES).map(|i| 2.0 * (0.5 * edge(i)).sin().powi(2)).collect();
         let means = mean_values(&values);
@@ -187,10 +190,10 @@ mod tests {
     fn a_table_of_the_wrong_size_or_with_a_number_that_is_none_is_refused() {
         let size = HALVES * TILTS * TURNS;
         assert!(Measured::new(vec![Vec3::ONE; size - 1]).unwrap_err().to_string().contains("90 × 90 × 180"));
-        for bad in [f32::NAN, f32::INFINITY, -1.0] {
+        for bad in [f32::NAN, f32::INFINITY, -1.0, 2e38] {
             let mut values = vec![Vec3::ONE; size];
             values[77].y = bad;
-            assert!(Measured::new(values).unwrap_err().to_string().ends_with("finite numbers, not negative expected"));
+            assert!(Measured::new(values).unwrap_err().to_string().ends_with("numbers from 0 to 1e6 expected"));
         }
         // Black is a surface too: nothing is ever lit, and nothing divides by zero.
         let black = Measured::new(vec![Vec3::ZERO; size]).unwrap();

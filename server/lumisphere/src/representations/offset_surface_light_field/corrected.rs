@@ -24,6 +24,8 @@ const REFINEMENTS: u32 = 5;
 const MOST_DISAGREEMENT: f32 = 0.1;
 /// Texels side by side that differ more show an edge: between them nothing is known.
 const MOST_STEEPNESS: f32 = 0.3;
+/// Of what is stored, scene units: its inverse is far from overflow.
+const LEAST_DISTANCE: f32 = 1e-30;
 const FALLBACK: Blend = Blend::Normal { exponent: 4.0 };
 
 /// Stored distances around a direction, inverted; 0 where nothing is seen.
@@ -38,9 +40,10 @@ pub(super) struct InverseDistances {
 }
 
 impl InverseDistances {
-    /// Of (distance, weight) of four texels; what is not above zero was not stored and counts as infinitely far.
+    /// Of (distance, weight) of four texels; what is not above [`LEAST_DISTANCE`] was not stored and counts as infinitely far.
     pub fn of(texels: [(f32, f32); 4]) -> Self {
-        let inverse = texels.map(|(distance, weight)| (if distance > 0.0 && distance.is_finite() { 1.0 / distance } else { 0.0 }, weight));
+        let inverse =
+            texels.map(|(distance, weight)| (if (LEAST_DISTANCE..=f32::MAX).contains(&distance) { 1.0 / distance } else { 0.0 }, weight));
         Self {
             mean: inverse.iter().map(|(i, weight)| i * weight).sum(),
             least: inverse.iter().fold(f32::INFINITY, |least, (i, _)| least.min(*i)),
@@ -80,7 +83,9 @@ pub(super) fn first_surface(cube: u32, p: Vec3, x: Vec3, r: Vec3, cubes: &mut dy
         };
         let direction = (1.0 - s) * e + s * r;
         let seen = cubes.inverse_distances(cube, direction)?;
-        let gap = (1.0 - s) / (distance * direction.length()) - seen.mean;
+        // Where the ray passes p itself there is no direction, and nothing is nearer.
+        let length = direction.length();
+        let gap = if length > 0.0 { (1.0 - s) / (distance * length) - seen.mean } else { 1.0 / distance };
         if refinements > 0 {
             refinements -= 1;
             if refinements == 0 {

@@ -4,6 +4,7 @@ const MARCH_STEPS: u32 = 12u;
 const REFINEMENTS: u32 = 5u;
 const MOST_DISAGREEMENT: f32 = 0.1;
 const MOST_STEEPNESS: f32 = 0.3;
+const LEAST_DISTANCE: f32 = 1e-30;
 const FALLBACK_EXPONENT: f32 = 4.0;
 const LEAST_SQUARE: f32 = 1e-12;
 
@@ -23,7 +24,7 @@ fn inverse_distances(cube: u32, direction: vec3<f32>) -> InverseDistances {
         if at.texel.exists {
             let distance = cube_texel(cube, at.texel, 0u).w;
             // By its bits: compilers may assume that there is no infinity.
-            let is_finite = distance > 0.0 && bitcast<u32>(distance) < 0x7f800000u;
+            let is_finite = distance >= LEAST_DISTANCE && bitcast<u32>(distance) < 0x7f800000u;
             let inverse = select(0.0, 1.0 / distance, is_finite);
             found.mean += at.weight * inverse;
             found.least = min(found.least, inverse);
@@ -68,7 +69,8 @@ fn first_surface(cube: u32, p: vec3<f32>, x: vec3<f32>, r: vec3<f32>) -> f32 {
         }
         let direction = (1.0 - s) * e + s * r;
         let seen = inverse_distances(cube, direction);
-        let gap = (1.0 - s) / (distance * length(direction)) - seen.mean;
+        let size = length(direction);
+        let gap = select(1.0 / distance, (1.0 - s) / (distance * size) - seen.mean, size > 0.0);
         if refinements > 0u {
             refinements -= 1u;
             if refinements == 0u {

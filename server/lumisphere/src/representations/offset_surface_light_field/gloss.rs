@@ -10,7 +10,7 @@
 use glam::{Vec2, Vec3};
 
 use super::shade::{NOTHING, ReadCube, Shaded, Sight, mirrored, radiance_toward};
-use super::{Filter, Gloss, NO_SAMPLE, OffsetSurfaceLightField, Settings};
+use super::{Blend, Filter, Gloss, NO_SAMPLE, OffsetSurfaceLightField, Settings};
 use crate::directions::DirectionDifferential;
 use crate::geometry::TangentFrame;
 use crate::radiometry::brdf::Brdf;
@@ -32,7 +32,9 @@ pub(super) fn glossy(
     candidates: [u16; 4],
     cubes: &mut dyn ReadCube,
 ) -> Result<Shaded, RenderError> {
-    let Some(nearest) = candidates.into_iter().find(|j| *j != NO_SAMPLE) else { return Ok(NOTHING) };
+    let first = candidates.into_iter().find(|j| *j != NO_SAMPLE).map(u32::from);
+    let baseline = (settings.blend == Blend::EnvironmentMap).then_some(field.sample_points.len() as u32);
+    let Some(sample) = baseline.or(first) else { return Ok(NOTHING) };
     let white = Settings { specular_reflectance: Vec3::ONE, ..*settings };
     let frame = TangentFrame::along(at.normal, tangent);
     let wo = frame.local_from_world(-at.direction);
@@ -49,7 +51,7 @@ pub(super) fn glossy(
         is_filled |= found.provenance.answer() != Answer::Hit;
     }
     let answer = if is_filled { Answer::Filled } else { Answer::Hit };
-    Ok(Shaded { radiance: radiance / gloss.directions as f32, provenance: Provenance::new(answer, u32::from(nearest)) })
+    Ok(Shaded { radiance: radiance / gloss.directions as f32, provenance: Provenance::new(answer, sample) })
 }
 
 /// Point `number` of the R2 sequence (Roberts 2018) in [0, 1)², in whole numbers so that both twins have the same.

@@ -36,9 +36,10 @@ fn local_from_world(frame: TangentFrame, world: vec3<f32>) -> vec3<f32> {
 
 fn glossy(at: Sight, across: Sight, down: Sight, tangent: vec3<f32>, candidates: vec4<u32>) -> Shaded {
     let nearest = first_of(candidates != vec4(NO_SAMPLE));
-    if nearest == 4u {
+    if nearest == 4u && BLEND != ENVIRONMENT_MAP {
         return Shaded(vec3(0.0), PROVENANCE_UNKNOWN);
     }
+    let named = select(element(candidates, nearest), shading.baseline_cube, BLEND == ENVIRONMENT_MAP);
     let frame = frame_along(at.normal, tangent);
     let wo = local_from_world(frame, -at.direction);
     let pixel = mirrored(at, across, down);
@@ -56,7 +57,7 @@ fn glossy(at: Sight, across: Sight, down: Sight, tangent: vec3<f32>, candidates:
             is_filled |= (found.provenance >> 30u) != HIT;
         }
     }
-    return Shaded(radiance / f32(shading.directions), provenance_of(select(HIT, FILLED, is_filled), element(candidates, nearest)));
+    return Shaded(radiance / f32(shading.directions), provenance_of(select(HIT, FILLED, is_filled), named));
 }
 
 fn place(number: u32) -> vec2<f32> {

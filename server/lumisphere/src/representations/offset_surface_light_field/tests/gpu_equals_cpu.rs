@@ -138,10 +138,12 @@ fn glossy_shading_agrees_for_every_model() {
         r#"{"model": "phong", "diffuse": [0.2, 0.2, 0.2], "specular": [0.5, 0.5, 0.5], "exponent": 50}"#,
         r#"{"model": "ashikhmin_shirley", "diffuse": [0.3, 0.1, 0.1], "specular": [0.5, 0.5, 0.5], "exponent_u": 10, "exponent_v": 300}"#,
         r#"{"model": "cook_torrance", "alpha_x": 0.3, "alpha_y": 0.2, "f0": [0.9, 0.7, 0.3]}"#,
+        r#"{"model": "lafortune", "diffuse": [0.1, 0.1, 0.1], "lobes": [{"reflectance": [0.5, 0.5, 0.5], "direction": [-1, -1, 1], "exponent": 20}]}"#,
         r#"{"model": "ward", "diffuse": [0.1, 0.1, 0.1], "specular": [0.4, 0.4, 0.4], "alpha_x": 0.3, "alpha_y": 0.2}"#,
     ];
     for brdf in models.map(|json| serde_json::from_str(json).unwrap()) {
-        for (blend, filter) in [(Blend::Average, Filter::Bilinear), (Blend::Corrected, Filter::Footprint)] {
+        let reads = [(Blend::Average, Filter::Bilinear), (Blend::Corrected, Filter::Footprint), (Blend::EnvironmentMap, Filter::Footprint)];
+        for (blend, filter) in reads {
             let settings = Settings { filter, ..settings(Component::Glossy(Gloss { brdf, directions: 12 }), blend) };
             let (pixels, _) = twins.on_gpu(&camera, settings).unwrap();
             let g_buffer = twins.kernel.read_g_buffer();
