@@ -10,8 +10,8 @@ use std::f32::consts::{PI, TAU};
 
 use glam::{Vec2, Vec3};
 
-use super::lobes::{cosine_hemisphere, cosine_pdf, log_ratio, one_minus_exp};
-use super::{Brdf, BrdfError, HORIZON, above_horizon, exponent, fifth_power, fresnel, half_vector, reflectance, share_of_second};
+use super::lobes::{cosine_pdf, log_ratio, one_minus_exp, reflected, sample_highlight};
+use super::{Brdf, BrdfError, above_horizon, exponent, fifth_power, fresnel, half_vector, reflectance, share_of_second};
 
 /// A diffuse surface under an anisotropic, Fresnel-weighted highlight.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -74,18 +74,7 @@ impl Brdf for AshikhminShirley {
     }
 
     fn sample(&self, wo: Vec3, u: Vec2) -> Option<(Vec3, f32)> {
-        if !(wo.z > HORIZON) {
-            return None;
-        }
-        let share = self.specular_share(wo);
-        let wi = if u.x < share {
-            let h = self.sample_half(Vec2::new(u.x / share, u.y));
-            2.0 * wo.dot(h) * h - wo
-        } else {
-            cosine_hemisphere(Vec2::new((u.x - share) / (1.0 - share), u.y))
-        };
-        let pdf = self.pdf(wo, wi);
-        (pdf > 0.0).then_some((wi, pdf))
+        sample_highlight(self, wo, u, self.specular_share(wo), |u| reflected(wo, self.sample_half(u)))
     }
 
     fn pdf(&self, wo: Vec3, wi: Vec3) -> f32 {

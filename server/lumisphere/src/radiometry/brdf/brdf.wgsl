@@ -136,13 +136,7 @@ fn power_lobe(axis: vec3<f32>, exponent: f32, u: vec2<f32>) -> vec3<f32> {
     let off = one_minus_exp(-log(1.0 - u.x) / (exponent + 1.0));
     let radius = sqrt(max(off * (2.0 - off), 0.0));
     let local = vec3(radius * cos(BRDF_TAU * u.y), radius * sin(BRDF_TAU * u.y), 1.0 - off);
-    // tangent_frame.rs, `around`.
-    let side = select(-1.0, 1.0, axis.z >= 0.0);
-    let a = -1.0 / (side + axis.z);
-    let b = axis.x * axis.y * a;
-    let tangent = vec3(1.0 + side * axis.x * axis.x * a, side * b, -side * axis.x);
-    let bitangent = vec3(b, side + axis.y * axis.y * a, -axis.y);
-    return normalize(local.x * tangent + local.y * bitangent + local.z * axis);
+    return normalize(world_from_local(frame_around(axis), local));
 }
 
 // phong.rs

@@ -8,6 +8,7 @@ use std::f32::consts::{PI, TAU};
 
 use glam::{Vec2, Vec3};
 
+use super::lobes::reflected;
 use super::{Brdf, BrdfError, HORIZON, above_horizon, fresnel, half_vector, reflectance, roughness};
 
 /// A rough conductor.
@@ -69,8 +70,7 @@ impl Brdf for CookTorrance {
         if !(wo.z > HORIZON) {
             return None;
         }
-        let m = self.sample_facet(wo, u);
-        let wi = 2.0 * wo.dot(m) * m - wo;
+        let wi = reflected(wo, self.sample_facet(wo, u));
         let pdf = self.pdf(wo, wi);
         (pdf > 0.0).then_some((wi, pdf))
     }

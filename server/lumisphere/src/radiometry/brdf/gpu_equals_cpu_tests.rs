@@ -14,6 +14,7 @@ use crate::images::{Tolerance, count_beyond};
 
 /// `brdf.wgsl` with a kernel that asks it everything about a pair of directions and a pair of numbers.
 pub(crate) const SOURCE: &str = concat!(
+    include_str!("../../geometry/tangent_frame.wgsl"),
     include_str!("brdf.wgsl"),
     "
 struct Question { wo: vec3<f32>, u: f32, wi: vec3<f32>, v: f32 }

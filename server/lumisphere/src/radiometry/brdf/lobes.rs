@@ -1,10 +1,11 @@
-//! Shapes that several models share: the cosine hemisphere, powers of a cosine around an axis, and logarithms that keep their digits
+//! What several models share: the cosine hemisphere, alone and beside a highlight, powers of a cosine around an axis, and logarithms that keep their digits
 //! where a lobe is narrow.
 
 use std::f32::consts::{FRAC_1_PI, PI, TAU};
 
 use glam::{Vec2, Vec3};
 
+use super::{Brdf, HORIZON};
 use crate::geometry::TangentFrame;
 
 /// Point of the unit disc, uniform in area; keeps neighbours together (Shirley & Chiu 1997).
@@ -30,6 +31,31 @@ pub(crate) fn cosine_hemisphere(u: Vec2) -> Vec3 {
 #[inline]
 pub(super) fn cosine_pdf(wi: Vec3) -> f32 {
     wi.z.max(0.0) * FRAC_1_PI
+}
+
+/// `wo` mirrored about the half vector `h`.
+#[inline]
+pub(super) fn reflected(wo: Vec3, h: Vec3) -> Vec3 {
+    2.0 * wo.dot(h) * h - wo
+}
+
+/// A direction from `highlight`, with probability `share`, or from the cosine hemisphere, and the density of both together; as
+/// [`Brdf::sample`]. What is left of `u` after the choice draws either.
+#[inline]
+pub(super) fn sample_highlight(
+    brdf: &impl Brdf,
+    wo: Vec3,
+    u: Vec2,
+    share: f32,
+    highlight: impl FnOnce(Vec2) -> Vec3,
+) -> Option<(Vec3, f32)> {
+    if !(wo.z > HORIZON) {
+        return None;
+    }
+    let wi =
+        if u.x < share { highlight(Vec2::new(u.x / share, u.y)) } else { cosine_hemisphere(Vec2::new((u.x - share) / (1.0 - share), u.y)) };
+    let pdf = brdf.pdf(wo, wi);
+    (pdf > 0.0).then_some((wi, pdf))
 }
 
 /// Unit vector around `axis` with density `power_pdf`.

@@ -7,8 +7,8 @@ use std::f32::consts::{FRAC_1_PI, TAU};
 
 use glam::{Vec2, Vec3};
 
-use super::lobes::{cosine_hemisphere, cosine_pdf, cosine_power, one_minus_cosine, power_lobe, power_pdf};
-use super::{Brdf, BrdfError, HORIZON, above_horizon, exponent, reflectances, share_of_second};
+use super::lobes::{cosine_pdf, cosine_power, one_minus_cosine, power_lobe, power_pdf, sample_highlight};
+use super::{Brdf, BrdfError, above_horizon, exponent, reflectances, share_of_second};
 
 /// A diffuse surface with an isotropic highlight.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -45,17 +45,7 @@ impl Brdf for Phong {
     }
 
     fn sample(&self, wo: Vec3, u: Vec2) -> Option<(Vec3, f32)> {
-        if !(wo.z > HORIZON) {
-            return None;
-        }
-        let share = self.specular_share();
-        let wi = if u.x < share {
-            power_lobe(turned_about_normal(wo), self.exponent, Vec2::new(u.x / share, u.y))
-        } else {
-            cosine_hemisphere(Vec2::new((u.x - share) / (1.0 - share), u.y))
-        };
-        let pdf = self.pdf(wo, wi);
-        (pdf > 0.0).then_some((wi, pdf))
+        sample_highlight(self, wo, u, self.specular_share(), |u| power_lobe(turned_about_normal(wo), self.exponent, u))
     }
 
     fn pdf(&self, wo: Vec3, wi: Vec3) -> f32 {

@@ -8,8 +8,8 @@ use std::f32::consts::{FRAC_1_PI, PI, TAU};
 
 use glam::{Vec2, Vec3};
 
-use super::lobes::{cosine_hemisphere, cosine_pdf};
-use super::{Brdf, BrdfError, HORIZON, above_horizon, half_vector, reflectances, roughness, share_of_second};
+use super::lobes::{cosine_pdf, reflected, sample_highlight};
+use super::{Brdf, BrdfError, above_horizon, half_vector, reflectances, roughness, share_of_second};
 
 /// A diffuse surface with an anisotropic Gaussian highlight.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -57,18 +57,7 @@ impl Brdf for Ward {
     }
 
     fn sample(&self, wo: Vec3, u: Vec2) -> Option<(Vec3, f32)> {
-        if !(wo.z > HORIZON) {
-            return None;
-        }
-        let share = self.specular_share();
-        let wi = if u.x < share {
-            let h = self.sample_half(Vec2::new(u.x / share, u.y));
-            2.0 * wo.dot(h) * h - wo
-        } else {
-            cosine_hemisphere(Vec2::new((u.x - share) / (1.0 - share), u.y))
-        };
-        let pdf = self.pdf(wo, wi);
-        (pdf > 0.0).then_some((wi, pdf))
+        sample_highlight(self, wo, u, self.specular_share(), |u| reflected(wo, self.sample_half(u)))
     }
 
     fn pdf(&self, wo: Vec3, wi: Vec3) -> f32 {

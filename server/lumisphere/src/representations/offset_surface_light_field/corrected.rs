@@ -10,11 +10,11 @@
 
 use glam::Vec3;
 
-use super::shade::{BlendWeights, NOTHING, ReadCube, Shaded, Sight, blend_weights, toward};
+use super::shade::{BlendWeights, NOTHING, ReadCube, Shaded, Sight, blend_weights, blended, normalized, toward, toward_samples};
 use super::{Blend, NO_SAMPLE, OffsetSurfaceLightField};
 use crate::directions::DirectionDifferential;
 use crate::representations::RenderError;
-use crate::representations::provenance::{Answer, Provenance};
+use crate::representations::provenance::Answer;
 
 /// Steps along a ray, the last one infinitely far.
 const MARCH_STEPS: u32 = 12;
@@ -164,29 +164,17 @@ pub(super) fn corrected(
     let mut inverse = first_met(field, candidates, x, r.direction, cubes)?;
     let mut blend = BlendWeights { weights: [0.0; 4], answer: Answer::Hit };
     if inverse >= 0.0 {
-        blend.weights = agreeing_weights(field, candidates, (x, n, r.direction), inverse, cubes)?;
+        blend.weights = normalized(agreeing_weights(field, candidates, (x, n, r.direction), inverse, cubes)?);
     }
     if blend.weights == [0.0; 4] {
         inverse = 0.0;
-        let toward_samples = candidates.map(|j| if j == NO_SAMPLE { n } else { toward(x, position(j), n) });
-        blend = blend_weights(FALLBACK, candidates, toward_samples, n, r.direction);
+        blend = blend_weights(FALLBACK, candidates, toward_samples(field, candidates, x, n), n, r.direction);
         if blend.answer == Answer::Unknown {
             return Ok(NOTHING);
         }
         blend.answer = Answer::Filled;
     }
-    let sum: f32 = blend.weights.iter().sum();
-    let (mut radiance, mut heaviest) = (Vec3::ZERO, 0);
-    for (k, j) in candidates.into_iter().enumerate() {
-        if blend.weights[k] > 0.0 {
-            let look = looking(inverse, x - position(j), r, by);
-            radiance += blend.weights[k] / sum * cubes.read_cube(u32::from(j), &look)?;
-        }
-        if blend.weights[k] > blend.weights[heaviest] {
-            heaviest = k;
-        }
-    }
-    Ok(Shaded { radiance, provenance: Provenance::new(blend.answer, u32::from(candidates[heaviest])) })
+    blended(candidates, &blend, |j| looking(inverse, x - position(j), r, by), cubes)
 }
 
 /// How a sample point sees the ray's point, `offset` from it to x: by the inverse distance shorter than `x + t·r − p`, so that it is finite.

@@ -27,6 +27,7 @@ pub(crate) const SOURCE: &str = concat!(
     include_str!("../../gpu/atlas.wgsl"),
     include_str!("kernel.wgsl"),
     include_str!("corrected.wgsl"),
+    include_str!("../../geometry/tangent_frame.wgsl"),
     include_str!("../../radiometry/brdf/brdf.wgsl"),
     include_str!("gloss.wgsl")
 );

@@ -207,23 +207,31 @@ pub(super) fn radiance_toward(
         let radiance = settings.specular_reflectance * cubes.read_cube(baseline, r)?;
         return Ok(Shaded { radiance, provenance: Provenance::new(Answer::Hit, baseline) });
     }
-    let toward_samples = candidates.map(|j| if j == NO_SAMPLE { n } else { toward(x, field.sample_points[usize::from(j)].position, n) });
-    let BlendWeights { weights, answer } = blend_weights(settings.blend, candidates, toward_samples, n, r.direction);
-    if answer == Answer::Unknown {
+    let blend = blend_weights(settings.blend, candidates, toward_samples(field, candidates, x, n), n, r.direction);
+    if blend.answer == Answer::Unknown {
         return Ok(NOTHING);
     }
-    let mut radiance = Vec3::ZERO;
-    let mut heaviest = 0;
-    for k in 0..4 {
-        if weights[k] > 0.0 {
-            radiance += weights[k] * cubes.read_cube(u32::from(candidates[k]), r)?;
+    let shaded = blended(candidates, &blend, |_| *r, cubes)?;
+    Ok(Shaded { radiance: settings.specular_reflectance * shaded.radiance, ..shaded })
+}
+
+/// `Σⱼ βⱼ Lᵢ(pⱼ; look(j))`, and the candidate that weighs most.
+pub(super) fn blended(
+    candidates: [u16; 4],
+    blend: &BlendWeights,
+    look: impl Fn(u16) -> DirectionDifferential,
+    cubes: &mut dyn ReadCube,
+) -> Result<Shaded, RenderError> {
+    let (mut radiance, mut heaviest) = (Vec3::ZERO, 0);
+    for (k, j) in candidates.into_iter().enumerate() {
+        if blend.weights[k] > 0.0 {
+            radiance += blend.weights[k] * cubes.read_cube(u32::from(j), &look(j))?;
         }
-        if weights[k] > weights[heaviest] {
+        if blend.weights[k] > blend.weights[heaviest] {
             heaviest = k;
         }
     }
-    let provenance = Provenance::new(answer, u32::from(candidates[heaviest]));
-    Ok(Shaded { radiance: settings.specular_reflectance * radiance, provenance })
+    Ok(Shaded { radiance, provenance: Provenance::new(blend.answer, u32::from(candidates[heaviest])) })
 }
 
 /// `r = 2 n (n·v) − v` with v = −d.
@@ -243,6 +251,11 @@ pub(super) fn toward(x: Vec3, p: Vec3, n: Vec3) -> Vec3 {
     let offset = p - x;
     let length = offset.length();
     if length > 0.0 { offset / length } else { n }
+}
+
+/// The same to each candidate's sample point; n for none.
+pub(super) fn toward_samples(field: &OffsetSurfaceLightField, candidates: [u16; 4], x: Vec3, n: Vec3) -> [Vec3; 4] {
+    candidates.map(|j| if j == NO_SAMPLE { n } else { toward(x, field.sample_points[usize::from(j)].position, n) })
 }
 
 /// βⱼ by the blend's rule; where every weight vanishes, all of it on the nearest candidate (filled).
@@ -283,7 +296,8 @@ fn sharpened(cosines: [f32; 4], valid: [bool; 4], exponent: f32) -> [f32; 4] {
     std::array::from_fn(|k| if valid[k] { power(clamped[k] / highest, exponent) } else { 0.0 })
 }
 
-fn normalized(weights: [f32; 4]) -> [f32; 4] {
+/// Divided by their sum; all 0 where that is.
+pub(super) fn normalized(weights: [f32; 4]) -> [f32; 4] {
     let sum = weights[0] + weights[1] + weights[2] + weights[3];
     if sum > 0.0 { weights.map(|w| w / sum) } else { [0.0; 4] }
 }
