@@ -14,18 +14,24 @@ use crate::process::{PATIENCE, Server, temporary_folder};
 use crate::tiny::{self, DATASET};
 use crate::wire::{camera, code_and_reason, frame_request, output, settings};
 
-struct Viewer {
+/// A client of `Interact`.
+pub struct Viewer {
     up: mpsc::Sender<wire::InteractRequest>,
     down: Streaming<wire::InteractResponse>,
 }
 
 impl Viewer {
     async fn open(server: &Server, credits: u32) -> Self {
+        Self::open_with(server, credits, settings(Component::Full, Blend::Average)).await
+    }
+
+    /// Raw frames of the tiny dataset.
+    pub async fn open_with(server: &Server, credits: u32, settings: wire::RenderSettings) -> Self {
         let (up, messages) = mpsc::channel(16);
         let open = wire::OpenInteraction {
             dataset: DATASET.into(),
             version: 0,
-            settings: Some(settings(Component::Full, Blend::Average)),
+            settings: Some(settings),
             output: Some(output(wire::Encoding::RawZstd)),
             credits,
         };
@@ -39,11 +45,13 @@ impl Viewer {
         viewer
     }
 
-    async fn send(&self, message: Up) {
+    /// Any message.
+    pub async fn send(&self, message: Up) {
         self.up.send(wire::InteractRequest { message: Some(message) }).await.unwrap();
     }
 
-    async fn pose(&self, pose_id: u64, camera: wire::Camera) {
+    /// A pose.
+    pub async fn pose(&self, pose_id: u64, camera: wire::Camera) {
         self.send(Up::Pose(wire::PoseUpdate { pose_id, camera: Some(camera) })).await;
     }
 
@@ -51,7 +59,8 @@ impl Viewer {
         tokio::time::timeout(PATIENCE, self.down.message()).await.expect("an answer in time").unwrap()?.message
     }
 
-    async fn frame(&mut self) -> wire::Frame {
+    /// The next answer, which must be a frame.
+    pub async fn frame(&mut self) -> wire::Frame {
         match self.next().await {
             Some(Down::Frame(frame)) => frame,
             other => panic!("a frame expected, not {other:?}"),

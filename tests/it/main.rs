@@ -9,6 +9,7 @@ mod command_line;
 mod killed;
 mod main_flow;
 mod memory;
+mod prefetch;
 mod process;
 mod rules;
 mod stopping;

@@ -25,7 +25,8 @@ fn http(address: &str, request_head: &str, body: &[u8]) -> (String, Vec<u8>) {
     (String::from_utf8_lossy(&answer[..end]).into_owned(), answer[end..].to_vec())
 }
 
-fn get(address: &str, path: &str) -> (String, String) {
+/// Status line, then headers and body.
+pub fn get(address: &str, path: &str) -> (String, String) {
     let (status, rest) = http(address, &format!("GET {path} HTTP/1.1"), &[]);
     (status, String::from_utf8_lossy(&rest).into_owned())
 }

@@ -6,7 +6,7 @@
 
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use glam::Vec3;
 use lumisphere::geometry::{Camera, Intrinsics, Pose};
@@ -16,14 +16,16 @@ use lumisphere::representations::offset_surface_light_field::{
     Blend, Component, ConstructSettings, Filter, OffsetSurfaceLightField, PartsError, Settings as OslfSettings, Spacing, construct,
     from_parts,
 };
-use lumisphere::representations::{CachedPages, PageSource};
+use lumisphere::representations::{CachedPages, Fetched, PageSource, TexelReader};
 use lumisphere::scenes::{BuiltinOptions, builtin};
-use lumisphere::textures::{Cache, CacheOptions, DatasetVersion, PageId, PixelFormat, Publication, Store, StoreOptions};
+use lumisphere::textures::{Cache, CacheOptions, DatasetVersion, PageId, PixelFormat, Publication, Store, StoreError, StoreOptions};
 
 const RUNS: usize = 15;
 // Of the orbit under a cap: three seconds a revolution at 30 frames a second.
 const STEPS: usize = 90;
 const GPU_BUDGET_BYTES: u64 = 1 << 30;
+// gpu_upload_bytes_per_frame's default.
+const IDLE_CAP_BYTES: u64 = 16 << 20;
 
 fn main() {
     let mut numbers = std::env::args().skip(1).filter_map(|a| a.parse::<u32>().ok());
@@ -89,11 +91,12 @@ fn report_paging(field: &Arc<dyn Representation>, version: &Arc<DatasetVersion>,
     let blend = Blend::Normal { exponent: 4.0 };
     let settings = OslfSettings { component: Component::Mirror, blend, specular_reflectance: Vec3::ONE, filter: Filter::Footprint };
     let settings = Settings::OffsetSurfaceLightField(settings);
+    let cameras: Vec<Camera> = (0..STEPS).map(|k| orbit_at(center, radius, k as f32 / STEPS as f32)).collect();
+    report_idle_time(field, version, &settings, &cameras);
     println!("cap, pages  ahead  not final  uploaded  brought ahead  CPU a frame, ms");
     for (cap, ahead) in [(4, false), (4, true), (8, false), (8, true), (16, false), (16, true)] {
         let (renderer, pages) = (Renderer::with_gpu(GPU_BUDGET_BYTES).expect("there was one"), fresh());
         let upload_bytes = cap * 128 * 128 * 8;
-        let cameras: Vec<Camera> = (0..STEPS).map(|k| orbit_at(center, radius, k as f32 / STEPS as f32)).collect();
         // The first pose is waited for: what counts is the motion.
         renderer.render(field, &pages, &request(&cameras[0], &settings, Refine::Whole), Some(Backend::Gpu)).expect("a frame");
         let (start, before, mut not_final) = (renderer.gpu_stats().expect("a GPU"), cpu_millis(), 0);
@@ -106,13 +109,73 @@ fn report_paging(field: &Arc<dyn Representation>, version: &Arc<DatasetVersion>,
             if ahead && left > 0 {
                 let pose = camera.pose().extrapolated_from(last.pose()).expect("rotations compose");
                 let next = Camera::new(*camera.intrinsics(), pose).expect("the same intrinsics");
-                renderer.prefetch(field, &pages, &request(&next, &settings, Refine::Whole), left * 128 * 128 * 8).expect("pages");
+                bring_ahead(&renderer, field, &pages, &request(&next, &settings, Refine::Whole), left * 128 * 128 * 8);
             }
         }
         let (stats, frames) = (renderer.gpu_stats().expect("a GPU"), STEPS - 1);
         let cpu = (cpu_millis() - before) / frames as f64;
         let (uploads, prefetched) = (stats.uploads - start.uploads, stats.prefetched);
         println!("{cap:>10} {ahead:>6} {not_final:>6} / {frames} {uploads:>8} {prefetched:>8} {cpu:>10.1}");
+    }
+}
+
+// A viewer whose frames leave time between them: what is brought in that time costs its frames nothing. With the cap of the server's default.
+fn report_idle_time(field: &Arc<dyn Representation>, version: &Arc<DatasetVersion>, settings: &Settings, cameras: &[Camera]) {
+    println!("ms a page from disk  ahead  not final  missed in frames  brought ahead  of use  frame, ms: mean  95 %  between, ms");
+    for (delay_millis, ahead) in [(0, false), (0, true), (5, false), (5, true)] {
+        let cached = CachedPages { cache: Arc::new(Cache::new(CacheOptions::decoded(4 << 30))), version: version.clone() };
+        let pages = SlowPages { pages: cached, delay: Duration::from_millis(delay_millis) };
+        let renderer = Renderer::with_gpu(GPU_BUDGET_BYTES).expect("there was one");
+        let refine = Refine::UpTo { upload_bytes: IDLE_CAP_BYTES };
+        renderer.render(field, &pages, &request(&cameras[0], settings, Refine::Whole), Some(Backend::Gpu)).expect("a frame");
+        let (start, mut not_final, mut millis, mut between) = (renderer.gpu_stats().expect("a GPU"), 0, Vec::new(), Duration::ZERO);
+        for (last, camera) in cameras.iter().zip(&cameras[1..]) {
+            let frame = renderer.render(field, &pages, &request(camera, settings, refine), Some(Backend::Gpu)).expect("a frame");
+            not_final += u32::from(!frame.pixels.is_final);
+            millis.push(frame.stats.total_millis);
+            if ahead {
+                let begin = Instant::now();
+                let pose = camera.pose().extrapolated_from(last.pose()).expect("rotations compose");
+                let next = Camera::new(*camera.intrinsics(), pose).expect("the same intrinsics");
+                bring_ahead(&renderer, field, &pages, &request(&next, settings, Refine::Whole), IDLE_CAP_BYTES);
+                between += begin.elapsed();
+            }
+        }
+        let (stats, frames) = (renderer.gpu_stats().expect("a GPU"), cameras.len() - 1);
+        millis.sort_by(f64::total_cmp);
+        let (mean, late) = (millis.iter().sum::<f64>() / frames as f64, millis[frames * 95 / 100]);
+        let (missed, brought, used) = (stats.misses - start.misses, stats.prefetched, stats.prefetch_used);
+        let between = 1e3 * between.as_secs_f64() / frames as f64;
+        println!(
+            "{delay_millis:>19} {ahead:>6} {not_final:>5} / {frames} {missed:>17} {brought:>14} {used:>7} {mean:>16.1} {late:>5.1} {between:>12.1}"
+        );
+    }
+}
+
+// As the server does between two frames.
+fn bring_ahead(renderer: &Renderer, field: &Arc<dyn Representation>, pages: &dyn PageSource, next: &FrameRequest<'_>, upload_bytes: u64) {
+    let ahead = renderer.look_ahead(field, next, upload_bytes).expect("a look");
+    let pages: Vec<_> = ahead.into_iter().map(|page| (page, pages.page(page).expect("a page").page)).collect();
+    renderer.bring_ahead(field, &pages).expect("room");
+}
+
+// A disk on which every page takes so long.
+struct SlowPages {
+    pages: CachedPages,
+    delay: Duration,
+}
+
+impl PageSource for SlowPages {
+    fn page(&self, page: PageId) -> Result<Fetched, StoreError> {
+        let fetched = self.pages.page(page)?;
+        if !fetched.was_resident {
+            std::thread::sleep(self.delay);
+        }
+        Ok(fetched)
+    }
+
+    fn reader(&self) -> Box<dyn TexelReader + '_> {
+        self.pages.reader()
     }
 }
 

@@ -4,6 +4,9 @@
 //! pages on the GPU) is made at its first frame and kept until others need the room, least recently used first. All calls block;
 //! frames on the GPU take turns.
 
+#[cfg(feature = "gpu")]
+mod gpu_tier;
+
 use std::collections::VecDeque;
 #[cfg(feature = "gpu")]
 use std::sync::MutexGuard;
@@ -11,7 +14,9 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
 #[cfg(feature = "gpu")]
-use crate::gpu::{Gpu, GpuCacheStats, GpuError};
+use self::gpu_tier::GpuTier;
+#[cfg(feature = "gpu")]
+use crate::gpu::{Gpu, GpuCacheStats};
 #[cfg(feature = "gpu")]
 use crate::representations::GpuKernel;
 use crate::representations::{CountingSource, CpuKernel};
@@ -19,7 +24,7 @@ pub use crate::representations::{
     FrameRequest, GpuFrameStats, Outputs, PageSource, PageUse, Pixels, Provenance, Refine, RenderError, Representation, Settings,
 };
 #[cfg(feature = "gpu")]
-use crate::textures::PolicyKind;
+use crate::textures::{Page, PageId, PolicyKind};
 
 /// What computes a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -91,19 +96,6 @@ struct GpuSide {
     tier: Mutex<GpuTier>,
 }
 
-// Everything on the device, and what it may hold.
-#[cfg(feature = "gpu")]
-struct GpuTier {
-    kernels: Kernels<Box<dyn GpuKernel>>,
-    budget_bytes: u64,
-    policy: PolicyKind,
-    // Datasets that found too little room, and how much it was: the same room is not tried again.
-    refused: VecDeque<(Arc<dyn Representation>, u64, RenderError)>,
-    // Of datasets that left.
-    earlier: GpuCacheStats,
-    peak_bytes: u64,
-}
-
 // Trees of this many datasets stay in memory.
 const CPU_KERNELS: usize = 4;
 
@@ -121,15 +113,7 @@ impl Renderer {
     /// Errors when there is no adapter.
     #[cfg(feature = "gpu")]
     pub fn with_gpu(budget_bytes: u64) -> Result<Self, RenderError> {
-        let tier = GpuTier {
-            kernels: Kernels::new(),
-            budget_bytes,
-            policy: PolicyKind::Lru,
-            refused: VecDeque::new(),
-            earlier: GpuCacheStats::default(),
-            peak_bytes: 0,
-        };
-        let gpu = GpuSide { gpu: Arc::new(Gpu::new()?), tier: Mutex::new(tier) };
+        let gpu = GpuSide { gpu: Arc::new(Gpu::new()?), tier: Mutex::new(GpuTier::new(budget_bytes)) };
         Ok(Self { gpu: Some(gpu), ..Self::cpu_only() })
     }
 
@@ -255,20 +239,34 @@ impl Renderer {
         Ok(frame(request, pixels, stats))
     }
 
-    /// Brings pages to the device that a frame like `request` would miss, at most `upload_bytes` of texels; how many. Does nothing without
-    /// a GPU.
-    pub fn prefetch(
+    /// Pages that a frame like `request` would miss on the device, at most `upload_bytes` of texels: a small picture of it tells, reading
+    /// nothing. None without a GPU, and for a dataset that has nothing there yet.
+    pub fn look_ahead(
         &self,
         representation: &Arc<dyn Representation>,
-        pages: &dyn PageSource,
         request: &FrameRequest<'_>,
         upload_bytes: u64,
-    ) -> Result<usize, RenderError> {
+    ) -> Result<Vec<PageId>, RenderError> {
         request.settings.check_frame(request.camera)?;
-        let Some(side) = &self.gpu else { return Ok(0) };
+        self.with_known_kernel(representation, |kernel| kernel.look_ahead(request, upload_bytes))
+    }
+
+    /// Takes pages of that dataset onto the device before a frame wants them; how many. What the last frame showed and the last look ahead
+    /// saw stays.
+    pub fn bring_ahead(&self, representation: &Arc<dyn Representation>, pages: &[(PageId, Arc<Page>)]) -> Result<usize, RenderError> {
+        self.with_known_kernel(representation, |kernel| kernel.bring_ahead(pages))
+    }
+
+    // Makes none: that would displace another dataset, whose viewers are at least as real.
+    fn with_known_kernel<T: Default>(
+        &self,
+        representation: &Arc<dyn Representation>,
+        work: impl FnOnce(&mut Box<dyn GpuKernel>) -> Result<T, RenderError>,
+    ) -> Result<T, RenderError> {
+        let Some(side) = &self.gpu else { return Ok(T::default()) };
         let mut tier = side.tier();
-        let mut entry = tier.take(&side.gpu, representation)?;
-        let outcome = entry.1.prefetch(request, &CountingSource::new(pages), upload_bytes);
+        let Some(mut entry) = tier.take_known(representation) else { return Ok(T::default()) };
+        let outcome = work(&mut entry.1);
         tier.put_back(entry);
         outcome
     }
@@ -282,14 +280,12 @@ impl Renderer {
     /// Changes which pages leave the device when others need their place. Nothing without a GPU.
     pub fn set_gpu_policy(&self, policy: PolicyKind) {
         let Some(side) = &self.gpu else { return };
-        let mut tier = side.tier();
-        tier.policy = policy;
-        tier.kernels.iter_mut().for_each(|(_, kernel)| kernel.set_policy(policy));
+        side.tier().set_policy(policy);
     }
 
     /// Which pages leave the device first; None without a GPU.
     pub fn gpu_policy(&self) -> Option<PolicyKind> {
-        self.gpu.as_ref().map(|side| side.tier().policy)
+        self.gpu.as_ref().map(|side| side.tier().policy())
     }
 
     /// Counters of the device's tier since the renderer was made, all of the same moment; None without a GPU.
@@ -307,84 +303,6 @@ impl Renderer {
 impl GpuSide {
     fn tier(&self) -> MutexGuard<'_, GpuTier> {
         self.tier.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
-#[cfg(feature = "gpu")]
-impl GpuTier {
-    fn held(&self) -> u64 {
-        self.kernels.iter().map(|(_, k)| k.bytes()).sum()
-    }
-
-    fn stats(&self) -> GpuCacheStats {
-        let mut stats = GpuCacheStats { peak_device_bytes: self.peak_bytes, budget_bytes: self.budget_bytes, ..self.earlier };
-        self.kernels.iter().for_each(|(_, kernel)| stats.add(&kernel.stats()));
-        stats
-    }
-
-    // The dataset's kernel, out of the list while it works. Two datasets of half the budget each can stay; a new one otherwise displaces
-    // those unused for longest.
-    fn take(&mut self, gpu: &Arc<Gpu>, representation: &Arc<dyn Representation>) -> Result<Entry<Box<dyn GpuKernel>>, RenderError> {
-        let known = self.kernels.iter().position(|(r, _)| Arc::ptr_eq(r, representation));
-        if let Some(entry) = known.and_then(|at| self.kernels.remove(at)) {
-            return Ok(entry);
-        }
-        while self.held() > self.budget_bytes / 2 && self.give_up_oldest() {}
-        let room = self.budget_bytes.saturating_sub(self.held());
-        if let Some((_, _, error)) = self.refused.iter().find(|(r, tried, _)| Arc::ptr_eq(r, representation) && room <= *tried) {
-            return Err(error.clone());
-        }
-        let mut kernel = match representation.clone().gpu_kernel(gpu, room) {
-            Ok(kernel) => kernel,
-            Err(error) => {
-                let is_for_want_of_room = matches!(error, GpuError::OverBudget { .. });
-                let error = RenderError::from(error);
-                // A device that failed may work again; a room that was too small stays so.
-                if is_for_want_of_room {
-                    self.refused.retain(|(r, ..)| !Arc::ptr_eq(r, representation));
-                    self.refused.push_back((representation.clone(), room, error.clone()));
-                }
-                if self.refused.len() > CPU_KERNELS {
-                    self.refused.pop_front();
-                }
-                gpu.release_dropped();
-                return Err(error);
-            }
-        };
-        kernel.set_policy(self.policy);
-        Ok((representation.clone(), kernel))
-    }
-
-    fn put_back(&mut self, entry: Entry<Box<dyn GpuKernel>>) {
-        self.kernels.push_back(entry);
-        self.peak_bytes = self.peak_bytes.max(self.held());
-    }
-
-    fn set_budget(&mut self, budget_bytes: u64) {
-        self.budget_bytes = budget_bytes;
-        while self.kernels.len() > 1 && self.held() > budget_bytes {
-            self.give_up_oldest();
-        }
-        if let Some((_, last)) = self.kernels.back() {
-            let others = self.held() - last.bytes();
-            if let Some((_, last)) = self.kernels.back_mut() {
-                last.set_budget(budget_bytes.saturating_sub(others));
-            }
-        }
-        // Geometry and sample maps of the last one may be too much by themselves.
-        if self.held() > budget_bytes {
-            self.give_up_oldest();
-        }
-        self.peak_bytes = self.held();
-    }
-
-    // False when there is none.
-    fn give_up_oldest(&mut self) -> bool {
-        let Some((_, kernel)) = self.kernels.pop_front() else { return false };
-        let stats = kernel.stats();
-        let evictions = stats.evictions + stats.resident_pages;
-        self.earlier.add(&GpuCacheStats { evictions, resident_pages: 0, resident_bytes: 0, device_bytes: 0, ..stats });
-        true
     }
 }
 
@@ -420,7 +338,7 @@ mod tests {
         });
         let outputs = Outputs { depth: false, provenance: false };
         let request = FrameRequest { camera: &camera, settings: &settings, outputs, refine: Refine::Whole };
-        let refused = || renderer.gpu.as_ref().map_or(0, |side| side.tier().refused.len());
+        let refused = || renderer.gpu.as_ref().map_or(0, |side| side.tier().refused());
         for _ in 0..3 {
             let frame = renderer.render(&field, &pages, &request, Some(Backend::Gpu)).unwrap();
             assert!(frame.stats.backend == Backend::Cpu && frame.stats.fallback.is_some());

@@ -16,6 +16,8 @@ use clap::{Arg, ArgAction, ArgMatches, Command};
 use lumisphere::textures::{CacheOptions, PolicyKind};
 use thiserror::Error;
 
+use crate::prefetch::Prefetch;
+
 /// Everything the operator can set.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Config {
@@ -35,6 +37,8 @@ pub struct Config {
     pub gpu_cache_policy: PolicyKind,
     /// Texels that a viewer's frame waits for; coarse ones stand in for the rest.
     pub gpu_upload_bytes_per_frame: u64,
+    /// Whether pages are brought before a viewer's frame wants them.
+    pub prefetch: Prefetch,
     /// Width · height.
     pub max_pixels_per_frame: u64,
     /// Renders that wait.
@@ -230,6 +234,12 @@ const SETTINGS: &[Setting] = &[
         about: "Texels that a viewer's frame waits for; coarse ones stand in for the rest, and a better frame follows",
     },
     Setting {
+        key: "prefetch",
+        kind: Kind::Choice(&["motion", "off"]),
+        default: "\"motion\"",
+        about: "motion: between the frames of a viewer who moves, bring pages that the next one would miss on the adapter; or off",
+    },
+    Setting {
         key: "read_strategy",
         kind: Kind::Choice(&["on_demand", "on_demand_restart", "half_threshold", "full_image", "block"]),
         default: "\"block\"",
@@ -395,6 +405,10 @@ impl Config {
             gpu_cache_bytes: count("gpu_cache_bytes"),
             gpu_cache_policy: policy("gpu_cache_policy"),
             gpu_upload_bytes_per_frame: count("gpu_upload_bytes_per_frame"),
+            prefetch: match text("prefetch").as_str() {
+                "off" => Prefetch::Off,
+                _ => Prefetch::Motion,
+            },
             max_pixels_per_frame: count("max_pixels_per_frame"),
             render_queue_length: size("render_queue_length"),
             max_sessions: size("max_sessions"),

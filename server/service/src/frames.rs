@@ -7,11 +7,13 @@ use bytes::Bytes;
 use lumisphere::geometry::Camera;
 use lumisphere::images::{Exposure, ExrStorage, Image, ToneMap, encode_exr_rgb, encode_jpeg, encode_png, tone_mapped};
 use lumisphere::render::{Backend, Frame, FrameRequest, Outputs, Refine, RenderError, Renderer};
+use lumisphere::textures::{Page, PageId};
 
 use crate::api::blocking;
 use crate::catalog::OpenedVersion;
 use crate::config::BackendChoice;
 use crate::errors::{ApiError, Reason};
+use crate::prefetch::Expected;
 use crate::render_queue::{Priority, QueueError, RenderQueue, Rendered};
 use crate::telemetry::Metrics;
 use crate::wire::cache::GpuTier;
@@ -70,6 +72,28 @@ impl Frames {
         };
         self.queue.run(Priority::Viewer, None, work).await.map_err(|e| self.refused(e))?;
         Ok(())
+    }
+
+    /// Which pages the expected frame would miss on the adapter, at most `upload_bytes` of texels; in its turn after all frames.
+    pub async fn look_ahead(&self, expected: Expected, upload_bytes: u64) -> Result<Vec<PageId>, ApiError> {
+        let work = move |renderer: &mut Renderer| {
+            let outputs = Outputs { depth: false, provenance: false };
+            let (camera, settings) = (&expected.camera, &expected.settings.settings);
+            let request = FrameRequest { camera, settings, outputs, refine: Refine::Whole };
+            renderer.look_ahead(&expected.version.representation, &request, upload_bytes)
+        };
+        Ok(self.queue.run_idle(work).await.map_err(|e| self.refused(e))??)
+    }
+
+    /// Hands pages to the adapter that no frame has asked for yet; how many found room. In its turn after all frames.
+    pub async fn bring_ahead(&self, version: Arc<OpenedVersion>, pages: Vec<(PageId, Arc<Page>)>) -> Result<usize, ApiError> {
+        let gpu = self.gpu.clone();
+        let work = move |renderer: &mut Renderer| {
+            let brought = renderer.bring_ahead(&version.representation, &pages);
+            note_gpu_tier(&gpu, renderer);
+            brought
+        };
+        Ok(self.queue.run_idle(work).await.map_err(|e| self.refused(e))??)
     }
 
     /// Renders waiting or in work.

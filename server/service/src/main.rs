@@ -8,6 +8,7 @@ mod config;
 mod errors;
 mod frames;
 mod jobs;
+mod prefetch;
 mod render_queue;
 mod serve;
 mod sessions;

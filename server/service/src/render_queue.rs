@@ -3,7 +3,8 @@
 //! The thread owns the renderer (its graphics device is used from no other thread). A render passes three gates: *admission* (as many
 //! waiting as configured, one more is refused at once), a *slot* (a few frames are between start and the end of their encoding, so that
 //! finished pixels cannot pile up in memory), and the thread itself. Viewers go before jobs. Work whose caller has gone, or whose
-//! deadline has passed, is dropped before it starts.
+//! deadline has passed, is dropped before it starts. Idle work, a piece at a time, has a door of its own and goes after everyone: it takes
+//! no place from a render, which waits for no more than the piece that has begun.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
@@ -56,6 +57,8 @@ pub struct RenderQueue<R> {
     slots: Arc<Semaphore>,
     viewers: Sender<Work<R>>,
     jobs: Sender<Work<R>>,
+    idle_slot: Arc<Semaphore>,
+    idle: Sender<Work<R>>,
     // Closed when the thread has ended.
     ended: Receiver<()>,
 }
@@ -68,6 +71,8 @@ impl<R> Clone for RenderQueue<R> {
             slots: self.slots.clone(),
             viewers: self.viewers.clone(),
             jobs: self.jobs.clone(),
+            idle_slot: self.idle_slot.clone(),
+            idle: self.idle.clone(),
             ended: self.ended.clone(),
         }
     }
@@ -104,6 +109,7 @@ impl<R: 'static> RenderQueue<R> {
         // Only admitted work with a slot is sent, so a channel of SLOTS never blocks its sender.
         let (viewers, viewer_work) = bounded::<Work<R>>(SLOTS);
         let (jobs, job_work) = bounded::<Work<R>>(SLOTS);
+        let (idle, idle_work) = bounded::<Work<R>>(1);
         let (ready, made) = bounded(1);
         let (alive, ended) = bounded(0);
         thread::Builder::new()
@@ -112,7 +118,7 @@ impl<R: 'static> RenderQueue<R> {
                 match make() {
                     Ok(renderer) => {
                         let _ = ready.send(Ok(()));
-                        render_until_closed(renderer, make, viewer_work, job_work);
+                        render_until_closed(renderer, make, [viewer_work, job_work, idle_work]);
                     }
                     Err(error) => drop(ready.send(Err(error))),
                 }
@@ -121,7 +127,9 @@ impl<R: 'static> RenderQueue<R> {
             })
             .expect("a thread can be started while the server starts");
         made.recv().expect("the render thread answers before it ends")?;
-        Ok(Self { admission: Arc::new(Semaphore::new(length)), length, slots: Arc::new(Semaphore::new(SLOTS)), viewers, jobs, ended })
+        let (admission, slots, idle_slot) = (Semaphore::new(length), Semaphore::new(SLOTS), Semaphore::new(1));
+        let (admission, slots, idle_slot) = (Arc::new(admission), Arc::new(slots), Arc::new(idle_slot));
+        Ok(Self { admission, length, slots, viewers, jobs, idle_slot, idle, ended })
     }
 
     /// To wait for the thread's end, which comes when every queue to it is dropped and its last work done.
@@ -167,17 +175,40 @@ impl<R: 'static> RenderQueue<R> {
         answered.await.map_err(|_| QueueError::Stopped)?
     }
 
+    /// Runs a short piece of work when no render waits for the thread. Dropping the future before it starts drops the work.
+    pub async fn run_idle<T: Send + 'static>(&self, work: impl FnOnce(&mut R) -> T + Send + 'static) -> Result<T, QueueError> {
+        let slot = self.idle_slot.clone().acquire_owned().await.map_err(|_| QueueError::Stopped)?;
+        let (answer, answered) = oneshot::channel();
+        let boxed: Work<R> = Box::new(move |renderer| {
+            let _slot = slot;
+            if answer.is_closed() {
+                return;
+            }
+            match catch_unwind(AssertUnwindSafe(|| work(renderer))) {
+                Ok(value) => drop(answer.send(Ok(value))),
+                Err(panic) => {
+                    let _ = answer.send(Err(QueueError::Panicked(panic_message(panic.as_ref()))));
+                    std::panic::resume_unwind(panic);
+                }
+            }
+        });
+        self.idle.try_send(boxed).map_err(|_| QueueError::Stopped)?;
+        answered.await.map_err(|_| QueueError::Stopped)?
+    }
+
     /// How many are waiting, rendering or being encoded.
     pub fn waiting(&self) -> usize {
         self.length - self.admission.available_permits()
     }
 }
 
-fn render_until_closed<R, E>(mut renderer: R, make: impl Fn() -> Result<R, E>, viewers: Receiver<Work<R>>, jobs: Receiver<Work<R>>) {
+/// Whose work comes first stands first.
+fn render_until_closed<R, E>(mut renderer: R, make: impl Fn() -> Result<R, E>, [viewers, jobs, idle]: [Receiver<Work<R>>; 3]) {
     loop {
         let work = select_biased! {
             recv(viewers) -> work => work,
             recv(jobs) -> work => work,
+            recv(idle) -> work => work,
         };
         let Ok(work) = work else { return };
         if catch_unwind(AssertUnwindSafe(|| work(&mut renderer))).is_ok() {
@@ -199,108 +230,4 @@ pub fn panic_message(panic: &(dyn std::any::Any + Send)) -> String {
 }
 
 #[cfg(test)]
-mod tests {
-    use std::convert::Infallible;
-    use std::sync::atomic::{AtomicU32, Ordering};
-
-    use super::*;
-
-    fn queue(length: usize) -> RenderQueue<u32> {
-        RenderQueue::start(length, || Ok::<u32, Infallible>(0)).unwrap()
-    }
-
-    /// Occupies the thread until the sender is dropped or used.
-    fn hold(queue: &RenderQueue<u32>) -> (Sender<()>, tokio::task::JoinHandle<()>) {
-        let (release, released) = bounded::<()>(1);
-        let (begun, has_begun) = bounded::<()>(1);
-        let queue = queue.clone();
-        let held = tokio::spawn(async move {
-            let work = move |_: &mut u32| {
-                let _ = begun.send(());
-                let _ = released.recv();
-            };
-            queue.run(Priority::Viewer, None, work).await.unwrap();
-        });
-        tokio::task::block_in_place(|| has_begun.recv().unwrap());
-        (release, held)
-    }
-
-    #[tokio::test(flavor = "multi_thread")]
-    async fn one_more_than_allowed_is_refused_and_room_comes_back() {
-        let queue = queue(1);
-        let (release, held) = hold(&queue);
-        assert_eq!(queue.run(Priority::Viewer, None, |_| ()).await.unwrap_err(), QueueError::Full { waiting: 1 });
-        release.send(()).unwrap();
-        held.await.unwrap();
-        assert_eq!(queue.run(Priority::Viewer, None, |_| 5).await.unwrap().value, 5);
-        assert_eq!(queue.waiting(), 0);
-    }
-
-    #[tokio::test(flavor = "multi_thread")]
-    async fn work_whose_deadline_passed_or_whose_caller_left_is_never_begun() {
-        let queue = queue(8);
-        let begun = Arc::new(AtomicU32::new(0));
-        let counted = |begun: &Arc<AtomicU32>| {
-            let begun = begun.clone();
-            move |_: &mut u32| begun.fetch_add(1, Ordering::SeqCst)
-        };
-        let (release, held) = hold(&queue);
-        let soon = Instant::now() + Duration::from_millis(5);
-        let late = tokio::spawn({
-            let (queue, work) = (queue.clone(), counted(&begun));
-            async move { queue.run(Priority::Viewer, Some(soon), work).await.map(|r| r.value) }
-        });
-        let left = tokio::time::timeout(Duration::from_millis(5), queue.run(Priority::Viewer, None, counted(&begun))).await;
-        assert!(left.is_err());
-        tokio::time::sleep_until(soon).await;
-        release.send(()).unwrap();
-        held.await.unwrap();
-        assert_eq!(late.await.unwrap(), Err(QueueError::DeadlineExceeded));
-        assert_eq!(queue.run(Priority::Viewer, None, counted(&begun)).await.unwrap().value, 0, "nothing ran before");
-    }
-
-    #[tokio::test(flavor = "multi_thread")]
-    async fn viewers_go_before_jobs() {
-        let queue = queue(8);
-        let (release, held) = hold(&queue);
-        let run = |priority| {
-            let queue = queue.clone();
-            async move {
-                let work = |order: &mut u32| {
-                    *order += 1;
-                    *order
-                };
-                queue.run(priority, None, work).await.unwrap().value
-            }
-        };
-        // Polled once each, in this order, both are in their channels.
-        let mut job = Box::pin(run(Priority::Batch));
-        assert!(futures_poll_once(job.as_mut()).await.is_none());
-        let mut viewer = Box::pin(run(Priority::Viewer));
-        assert!(futures_poll_once(viewer.as_mut()).await.is_none());
-        release.send(()).unwrap();
-        held.await.unwrap();
-        assert_eq!(tokio::join!(job, viewer), (2, 1));
-    }
-
-    async fn futures_poll_once<F: Future>(future: std::pin::Pin<&mut F>) -> Option<F::Output> {
-        let mut future = Some(future);
-        std::future::poll_fn(move |cx| {
-            let polled = future.take().expect("polled once").poll(cx);
-            std::task::Poll::Ready(match polled {
-                std::task::Poll::Ready(value) => Some(value),
-                std::task::Poll::Pending => None,
-            })
-        })
-        .await
-    }
-
-    #[tokio::test(flavor = "multi_thread")]
-    async fn a_panic_is_told_to_its_caller_and_the_next_frame_has_a_fresh_renderer() {
-        let queue = queue(8);
-        queue.run(Priority::Viewer, None, |r| *r = 9).await.unwrap();
-        let failed = queue.run(Priority::Viewer, None, |_| -> u32 { panic!("on purpose") }).await.unwrap_err();
-        assert_eq!(failed, QueueError::Panicked("on purpose".into()));
-        assert_eq!(queue.run(Priority::Viewer, None, |r| *r).await.unwrap().value, 0);
-    }
-}
+mod tests;

@@ -1,7 +1,8 @@
 //! Interact: poses up, frames down. The latest pose wins, and no frame is rendered without a credit.
 //!
 //! Two loops per session share a watch value: one reads the client's messages into it, the other renders what it holds whenever there
-//! is something new and a credit. A pose that is overtaken before its turn is never seen by the second loop.
+//! is something new and a credit. A pose that is overtaken before its turn is never seen by the second loop. While there is nothing to
+//! draw, pages are brought that a moving viewer's next frame will want.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -16,8 +17,10 @@ use tonic::Status;
 
 use crate::api::{App, blocking};
 use crate::catalog::OpenedVersion;
+use crate::config::BackendChoice;
 use crate::errors::{ApiError, Reason};
 use crate::frames::FrameOrder;
+use crate::prefetch::{Expected, Motion, Prefetch};
 use crate::render_queue::Priority;
 use crate::wire::frames::FrameIdentity;
 use crate::wire::settings::{Output, RenderSettings, check_kind, output, render_settings};
@@ -209,6 +212,7 @@ impl Session {
     async fn show(&self, half_closed: &CancellationToken) {
         let mut wishes = self.wish.subscribe();
         let (mut shown, mut poses_shown) = (0, 0);
+        let (mut motion, mut expected) = (Motion::default(), None);
         loop {
             let sent = self.sent.load(Ordering::SeqCst);
             let is_due = |wish: &Wish| wish.pose.is_some() && wish.revision > shown && sent - wish.acknowledged < self.credits;
@@ -216,6 +220,8 @@ impl Session {
                 biased;
                 wish = wishes.wait_for(is_due) => if wish.is_err() { return },
                 () = half_closed.cancelled() => return,
+                // Dropped as soon as there is something to draw.
+                () = self.prefetch(&mut expected) => {}
             }
             // Room in the outbox first: what is rendered is then the latest wish of the moment when it can be sent.
             let Ok(slot) = self.down.reserve().await else { return };
@@ -243,9 +249,27 @@ impl Session {
                     shown = wish.revision;
                 }
             }
+            if wish.poses > poses_shown {
+                motion.moved_to(camera);
+            }
+            expected = motion.next().map(|camera| Expected { version: self.version.clone(), camera, settings: wish.settings });
             self.app.metrics.poses_overtaken.inc_by((wish.poses - poses_shown).saturating_sub(1));
             poses_shown = wish.poses;
         }
+    }
+
+    /// Brings what the expected frame would miss, once, and never returns.
+    async fn prefetch(&self, expected: &mut Option<Expected>) {
+        let is_wanted = self.app.config.prefetch == Prefetch::Motion && self.app.adapter.is_some();
+        if let Some(expected) = expected.take().filter(|e| is_wanted && e.settings.backend != BackendChoice::Cpu) {
+            match expected.bring(&self.app.frames, self.app.config.gpu_upload_bytes_per_frame).await {
+                Ok(pages) => tracing::trace!(pages, "brought ahead"),
+                // The frame itself will tell the viewer.
+                Err(error) => tracing::debug!(%error, "nothing brought ahead"),
+            }
+            self.app.metrics.looks_ahead.inc();
+        }
+        std::future::pending().await
     }
 
     async fn render(&self, camera: Camera, wish: &Wish, pose_id: u64, frame_id: u64) -> Result<proto::Frame, ApiError> {

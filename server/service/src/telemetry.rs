@@ -58,7 +58,7 @@ struct DatasetLabels {
 }
 
 /// Instruments of a tier; events since start or the last reset.
-const TIER_COUNTS: [(&str, &str); 8] = [
+const TIER_COUNTS: [(&str, &str); 11] = [
     ("cache_look_ups", "Texture pages or blocks asked for"),
     ("cache_hits", "Of those, found in the tier"),
     ("cache_misses", "Of those, not in the tier"),
@@ -67,6 +67,9 @@ const TIER_COUNTS: [(&str, &str); 8] = [
     ("cache_bytes", "Bytes held"),
     ("cache_peak_bytes", "Most bytes ever held"),
     ("cache_budget_bytes", "Bytes that may be held"),
+    ("cache_prefetched", "Pages brought ahead of need"),
+    ("cache_prefetch_used", "Of those, wanted before they left; gpu only"),
+    ("cache_prefetch_wasted", "Of those, dropped before anyone wanted them; gpu only"),
 ];
 
 /// Instruments of a dataset version; events since start or the last reset.
@@ -92,6 +95,8 @@ pub struct Metrics {
     pub frames: Counter,
     /// Poses that a newer one overtook.
     pub poses_overtaken: Counter,
+    /// Times that pages were looked for, and brought, ahead of a moving viewer's next frame.
+    pub looks_ahead: Counter,
     /// Renders refused because the queue was full.
     pub renders_refused: Counter,
     /// Interact streams open.
@@ -116,6 +121,7 @@ impl Metrics {
             frame_seconds: Family::new_with_constructor(histogram),
             frames: Counter::default(),
             poses_overtaken: Counter::default(),
+            looks_ahead: Counter::default(),
             renders_refused: Counter::default(),
             sessions: Gauge::default(),
             jobs_pending: Gauge::default(),
@@ -129,6 +135,7 @@ impl Metrics {
         r.register("render_frame_seconds", "Frames by stage", m.frame_seconds.clone());
         r.register("render_frames", "Frames rendered and encoded", m.frames.clone());
         r.register("poses_overtaken", "Poses that a newer one overtook", m.poses_overtaken.clone());
+        r.register("looks_ahead", "Times that pages were brought ahead of a moving viewer's next frame", m.looks_ahead.clone());
         r.register("renders_refused", "Renders refused because the queue was full", m.renders_refused.clone());
         r.register("sessions_active", "Interact streams open", m.sessions.clone());
         r.register("jobs_pending", "Jobs waiting", m.jobs_pending.clone());
@@ -305,7 +312,7 @@ mod tests {
         let metrics = Arc::new(Metrics::new());
         metrics.frame_stage("render", 12_000);
         metrics.frames.inc();
-        metrics.cache_tier("memory", [1, 2, 3, 4, 5, 6, 7, 8]);
+        metrics.cache_tier("memory", [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11]);
         metrics.cache_dataset("teapot", 3, [1, 2, 3, 4, 5, 6, 7, 8, 9, 10]);
         let measure = |path: &str, code: Option<&str>| {
             drop(Measure { metrics: metrics.clone(), path: path.into(), begun: Instant::now(), code: code.map(String::from) });

@@ -29,6 +29,9 @@ fn tier(t: &wire::CacheTierStats) -> Value {
         "misses": t.misses,
         "evictions": t.evictions,
         "bytes_in": t.bytes_in,
+        "prefetched": t.prefetched,
+        "prefetch_used": t.prefetch_used,
+        "prefetch_wasted": t.prefetch_wasted,
     })
 }
 
@@ -74,7 +77,8 @@ fn percent(part: u64, whole: u64) -> String {
 /// For people.
 pub fn text(now: &wire::CacheStats) -> String {
     let row = |cells: &[&str]| cells.iter().map(|c| c.to_string()).collect::<Vec<_>>();
-    let mut tiers = vec![row(&["tier", "policy", "used", "of", "peak", "entries", "look-ups", "misses", "miss rate", "evictions"])];
+    let mut tiers =
+        vec![row(&["tier", "policy", "used", "of", "peak", "entries", "look-ups", "misses", "miss rate", "evictions", "ahead", "of use"])];
     tiers.extend(now.tiers.iter().map(|t| {
         vec![
             tier_name(t.tier()).into(),
@@ -87,6 +91,8 @@ pub fn text(now: &wire::CacheStats) -> String {
             t.misses.to_string(),
             percent(t.misses, t.look_ups),
             t.evictions.to_string(),
+            t.prefetched.to_string(),
+            if t.tier() == wire::CacheTier::Gpu { t.prefetch_used.to_string() } else { "-".into() },
         ]
     }));
     let mut datasets =
@@ -106,7 +112,7 @@ pub fn text(now: &wire::CacheStats) -> String {
             bytes_text(t.bytes_redundant),
         ]
     }));
-    let mut text = table(&tiers, &[2, 3, 4, 5, 6, 7, 8, 9]);
+    let mut text = table(&tiers, &[2, 3, 4, 5, 6, 7, 8, 9, 10, 11]);
     if datasets.len() > 1 {
         text += &format!("\n\n{}", table(&datasets, &[2, 3, 4, 5, 6, 7, 8, 9]));
     }

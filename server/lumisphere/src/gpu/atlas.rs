@@ -8,11 +8,14 @@
 //!
 //! A slot holds levels of its image, each half the size of the one before, in the texture's levels of detail.
 
+mod shape;
+
 use std::sync::Arc;
 
 use super::ring::UploadRing;
 use super::{Gpu, GpuCacheStats, GpuError, storage_buffer};
-use crate::textures::{Page, PageKey, PageShape, PixelFormat, Policy, PolicyKind, StoreError};
+use crate::textures::{Page, PageKey, PageShape, Policy, PolicyKind, StoreError};
+pub(crate) use shape::AtlasShape;
 
 /// How many textures kernels bind for an atlas; unused ones are a single texel.
 pub(crate) const ATLAS_TEXTURES: usize = 4;
@@ -20,25 +23,8 @@ pub(crate) const ATLAS_TEXTURES: usize = 4;
 /// Marks a page that is not resident.
 pub(crate) const NOT_RESIDENT: u32 = u32::MAX;
 
-// The largest layer's edge: far below what devices allow, and 32 MiB of RGBA16F.
-const LAYER_EDGE_TEXELS: u32 = 2048;
 // lavapipe refuses textures above 1 GiB; other devices have no such limit, but larger ones gain nothing.
 const MAX_TEXTURE_BYTES: u64 = 1 << 30;
-
-/// What an atlas holds.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct AtlasShape {
-    /// Pages that there are, resident or not.
-    pub page_count: usize,
-    /// Texels along a page's edge.
-    pub page_size: u32,
-    /// Four channels of this.
-    pub pixel: PixelFormat,
-    /// Levels of detail in a slot, at least 1; `page_size` is a multiple of 2 to the power of one less.
-    pub levels: u32,
-    /// Slots set apart.
-    pub pinned_slots: usize,
-}
 
 /// The slots and who is in them.
 pub(crate) struct Atlas {
@@ -49,6 +35,8 @@ pub(crate) struct Atlas {
     layers: Vec<u32>,
     slot_of_page: Vec<u32>,
     page_of_slot: Vec<Option<u32>>,
+    // Brought ahead of need, not wanted by a frame yet.
+    is_ahead: Vec<bool>,
     free: Vec<u32>,
     policy: Box<dyn Policy>,
     words: Vec<u32>,
@@ -56,61 +44,6 @@ pub(crate) struct Atlas {
     ring: UploadRing,
     bytes: u64,
     stats: GpuCacheStats,
-}
-
-impl AtlasShape {
-    fn texel_bytes(self) -> u32 {
-        4 * self.pixel.bytes() as u32
-    }
-
-    /// Of a slot's texels, all levels.
-    pub fn page_bytes(self) -> u64 {
-        self.bytes_of_levels(self.page_size)
-    }
-
-    /// What an atlas takes beside its slots: the upload ring and the indirection.
-    pub fn bytes_beside(self) -> u64 {
-        UploadRing::bytes_for(self.staged_bytes()) + 4 * self.words() as u64
-    }
-
-    fn words(self) -> usize {
-        self.page_count + self.pinned_slots
-    }
-
-    // Of a square of `edge` texels and its levels.
-    fn bytes_of_levels(self, edge: u32) -> u64 {
-        (0..self.levels).map(|level| u64::from(edge >> level).pow(2) * u64::from(self.texel_bytes())).sum()
-    }
-
-    // A slot in the upload ring, where rows are aligned.
-    fn staged_bytes(self) -> u64 {
-        (0..self.levels).map(|level| self.staged_level_bytes(level)).sum()
-    }
-
-    fn staged_level_bytes(self, level: u32) -> u64 {
-        u64::from(self.staged_stride(level)) * u64::from(self.page_size >> level)
-    }
-
-    fn staged_stride(self, level: u32) -> u32 {
-        ((self.page_size >> level) * self.texel_bytes()).next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT)
-    }
-
-    fn format(self) -> wgpu::TextureFormat {
-        match self.pixel {
-            PixelFormat::F32 => wgpu::TextureFormat::Rgba32Float,
-            PixelFormat::F16 => wgpu::TextureFormat::Rgba16Float,
-        }
-    }
-
-    // Slots along a layer's edge: as many as the largest layer, the budget, and the pages there are make sensible.
-    fn slots_per_edge(self, gpu: &Gpu, budget_bytes: u64) -> u32 {
-        let edge = LAYER_EDGE_TEXELS.max(self.page_size).min(gpu.device().limits().max_texture_dimension_2d);
-        let page_bytes = self.page_bytes();
-        let all_pages = (self.words() as f64).sqrt().ceil() as u32;
-        // A tenth of the budget a layer wastes less than a tenth of it by rounding.
-        let in_budget = ((budget_bytes / page_bytes) as f64 / 10.0).sqrt().ceil() as u32;
-        (edge / self.page_size).min(256).min(all_pages).min(in_budget)
-    }
 }
 
 impl Atlas {
@@ -145,6 +78,7 @@ impl Atlas {
         let mut atlas = Self {
             slot_of_page: vec![NOT_RESIDENT; shape.page_count],
             page_of_slot: vec![None; slots],
+            is_ahead: vec![false; slots],
             free: (shape.pinned_slots as u32..slots as u32).rev().collect(),
             policy: policy.make(slots as u64),
             indirection: storage_buffer(gpu, "indirection", &words, wgpu::BufferUsages::COPY_DST),
@@ -173,11 +107,6 @@ impl Atlas {
     /// Pages that can be resident at once.
     pub fn capacity(&self) -> usize {
         self.page_of_slot.len() - self.shape.pinned_slots
-    }
-
-    /// Slots that hold nothing.
-    pub fn free_slots(&self) -> usize {
-        self.free.len()
     }
 
     /// How many textures hold slots; the other views are never read.
@@ -214,6 +143,7 @@ impl Atlas {
             return false;
         }
         self.stats.hits += 1;
+        self.stats.prefetch_used += u64::from(std::mem::take(&mut self.is_ahead[slot as usize]));
         self.policy.touch(slot);
         true
     }
@@ -257,9 +187,12 @@ impl Atlas {
         gpu.check()
     }
 
-    /// The last `count` uploads were ahead of need.
-    pub fn count_prefetched(&mut self, count: usize) {
-        self.stats.prefetched += count as u64;
+    /// These, just uploaded, came ahead of need.
+    pub fn note_ahead(&mut self, pages: impl Iterator<Item = u32>) {
+        for page in pages {
+            self.stats.prefetched += 1;
+            self.is_ahead[self.slot_of_page[page as usize] as usize] = true;
+        }
     }
 
     // The slot that `page`, not resident, gets.
@@ -288,6 +221,7 @@ impl Atlas {
                 self.words[page as usize] = NOT_RESIDENT;
                 self.page_of_slot[slot as usize] = None;
                 self.stats.evictions += 1;
+                self.stats.prefetch_wasted += u64::from(std::mem::take(&mut self.is_ahead[slot as usize]));
                 break Some(slot);
             }
             kept.push((slot, PageKey(u64::from(page))));

@@ -12,8 +12,12 @@ pub struct GpuCacheStats {
     pub misses: u64,
     /// Pages copied to the device, ahead of need or for a frame.
     pub uploads: u64,
-    /// Of these, ahead of need.
+    /// Of these, ahead of need: `prefetched = prefetch_used + prefetch_wasted` + those that still wait for their frame.
     pub prefetched: u64,
+    /// Of those ahead of need, wanted by a frame before they left.
+    pub prefetch_used: u64,
+    /// Of those ahead of need, given up before a frame wanted them.
+    pub prefetch_wasted: u64,
     /// Copied to the device.
     pub bytes_uploaded: u64,
     /// Pages given up: for others, for a smaller budget, with their dataset.
@@ -31,6 +35,18 @@ pub struct GpuCacheStats {
 }
 
 impl GpuCacheStats {
+    /// What stays to be told once every page has left the device.
+    pub(crate) fn after_all_left(self) -> Self {
+        Self {
+            evictions: self.evictions + self.resident_pages,
+            prefetch_wasted: self.prefetched - self.prefetch_used,
+            resident_pages: 0,
+            resident_bytes: 0,
+            device_bytes: 0,
+            ..self
+        }
+    }
+
     /// Counters and sizes of two datasets together; peak and budget, which are not sums, stay.
     pub fn add(&mut self, other: &Self) {
         self.look_ups += other.look_ups;
@@ -38,6 +54,8 @@ impl GpuCacheStats {
         self.misses += other.misses;
         self.uploads += other.uploads;
         self.prefetched += other.prefetched;
+        self.prefetch_used += other.prefetch_used;
+        self.prefetch_wasted += other.prefetch_wasted;
         self.bytes_uploaded += other.bytes_uploaded;
         self.evictions += other.evictions;
         self.resident_pages += other.resident_pages;

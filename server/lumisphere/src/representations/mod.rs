@@ -19,7 +19,7 @@ use crate::geometry::Camera;
 use crate::gpu::{Gpu, GpuCacheStats, GpuError};
 use crate::radiometry::brdf::AnalyticBrdf;
 #[cfg(feature = "gpu")]
-use crate::textures::PolicyKind;
+use crate::textures::{Page, PolicyKind};
 use crate::textures::{PageId, StoreError};
 use offset_surface_light_field as oslf;
 
@@ -164,8 +164,12 @@ pub trait GpuKernel: Send {
     /// One frame; blocks. `RenderError::Gpu` means that the CPU might still do it.
     fn render(&mut self, request: &FrameRequest<'_>, pages: &CountingSource<'_>) -> Result<(Pixels, GpuFrameStats), RenderError>;
 
-    /// Brings pages that such a frame would miss, at most `upload_bytes` of texels; how many. Nothing that the last frame showed leaves.
-    fn prefetch(&mut self, request: &FrameRequest<'_>, pages: &CountingSource<'_>, upload_bytes: u64) -> Result<usize, RenderError>;
+    /// Pages that such a frame would miss, at most `upload_bytes` of texels: a guess that reads nothing. None before the first frame.
+    fn look_ahead(&mut self, request: &FrameRequest<'_>, upload_bytes: u64) -> Result<Vec<PageId>, RenderError>;
+
+    /// Takes pages onto the device before a frame wants them; how many found room without another's leaving that the last frame showed or
+    /// the last look ahead saw.
+    fn bring_ahead(&mut self, pages: &[(PageId, Arc<Page>)]) -> Result<usize, RenderError>;
 
     /// Which pages leave when others need their place, from now on.
     fn set_policy(&mut self, kind: PolicyKind);

@@ -193,8 +193,9 @@ pub fn tier_name(tier: &proto::CacheTierStats) -> &'static str {
 }
 
 /// In the order of the tier's instruments.
-pub fn tier_counts(t: &proto::CacheTierStats) -> [u64; 8] {
-    [t.look_ups, t.hits, t.misses, t.evictions, t.bytes_in, t.used_bytes, t.peak_bytes, t.budget_bytes]
+pub fn tier_counts(t: &proto::CacheTierStats) -> [u64; 11] {
+    let (prefetched, used, wasted) = (t.prefetched, t.prefetch_used, t.prefetch_wasted);
+    [t.look_ups, t.hits, t.misses, t.evictions, t.bytes_in, t.used_bytes, t.peak_bytes, t.budget_bytes, prefetched, used, wasted]
 }
 
 /// In the order of the dataset's instruments.
@@ -253,6 +254,9 @@ fn memory_tier(policy: PolicyKind, now: &CacheStats, before: &CacheStats) -> pro
         misses: since(|s| s.misses),
         evictions: since(|s| s.evictions),
         bytes_in: since(|s| s.bytes_decoded),
+        prefetched: since(|s| s.prefetches),
+        prefetch_used: 0,
+        prefetch_wasted: 0,
     }
 }
 
@@ -270,6 +274,9 @@ fn compressed_tier(policy: PolicyKind, now: &CompressedStats, before: &Compresse
         misses: since(|s| s.misses),
         evictions: since(|s| s.evictions),
         bytes_in: bytes_read,
+        prefetched: 0,
+        prefetch_used: 0,
+        prefetch_wasted: 0,
     }
 }
 
@@ -288,6 +295,9 @@ fn gpu_tier(now: &GpuTier, before: Option<&GpuTier>) -> proto::CacheTierStats {
         misses: since(|s| s.misses),
         evictions: since(|s| s.evictions),
         bytes_in: since(|s| s.bytes_uploaded),
+        prefetched: since(|s| s.prefetched),
+        prefetch_used: since(|s| s.prefetch_used),
+        prefetch_wasted: since(|s| s.prefetch_wasted),
     }
 }
 

@@ -243,6 +243,33 @@ impl Rasterizer {
         first_row: u32,
         band: &Band,
     ) -> Result<(), GpuError> {
+        self.list_pixels(gpu, encoder, camera, first_row, band, self.triangles.in_view(camera, self.near, first_row, band.rows))?;
+        let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+        pass.set_bind_group(0, &band.resources, &[]);
+        pass.set_bind_group(1, &self.resources, &[]);
+        for (pipeline, list) in &self.finish {
+            pass.set_pipeline(pipeline);
+            pass.dispatch_workgroups_indirect(&band.heads, u64::from(*list) * LIST_HEAD_BYTES);
+        }
+        Ok(())
+    }
+
+    /// The object's pixels alone, as if nothing stood before it; the others are left as they are.
+    pub fn draw_object(&self, gpu: &Gpu, encoder: &mut wgpu::CommandEncoder, camera: &Camera, band: &Band) -> Result<(), GpuError> {
+        let object = 0..self.triangles.object_end;
+        self.list_pixels(gpu, encoder, camera, 0, band, vec![object])
+    }
+
+    // Which of these triangles each pixel sees, and the pixels' lists.
+    fn list_pixels(
+        &self,
+        gpu: &Gpu,
+        encoder: &mut wgpu::CommandEncoder,
+        camera: &Camera,
+        first_row: u32,
+        band: &Band,
+        triangles: Vec<Range<u32>>,
+    ) -> Result<(), GpuError> {
         let uniform = CameraUniform {
             object_end: self.triangles.object_end,
             plain_end: self.triangles.plain_end,
@@ -251,7 +278,7 @@ impl Rasterizer {
         gpu.queue().write_buffer(&self.camera, 0, bytemuck::bytes_of(&uniform));
         // No groups along x yet, one along y and z, no pixels.
         gpu.queue().write_buffer(&band.work, 0, bytemuck::cast_slice(&[[0u32, 1, 1, 0]; LISTS]));
-        self.draw_visibility(encoder, self.triangles.in_view(camera, self.near, first_row, band.rows), band);
+        self.draw_visibility(encoder, triangles, band);
         let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
         pass.set_bind_group(0, &band.resources, &[]);
         pass.set_bind_group(1, &self.resources, &[]);
@@ -259,13 +286,6 @@ impl Rasterizer {
         pass.dispatch_workgroups(band.width.div_ceil(RUN * SORT_GROUP), band.rows.div_ceil(SORT_GROUP), 1);
         drop(pass);
         encoder.copy_buffer_to_buffer(&band.work, 0, &band.heads, 0, band.heads.size());
-        let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
-        pass.set_bind_group(0, &band.resources, &[]);
-        pass.set_bind_group(1, &self.resources, &[]);
-        for (pipeline, list) in &self.finish {
-            pass.set_pipeline(pipeline);
-            pass.dispatch_workgroups_indirect(&band.heads, u64::from(*list) * LIST_HEAD_BYTES);
-        }
         Ok(())
     }
 

@@ -1,5 +1,6 @@
 //! Host side of `kernel.wgsl`: what one dataset has on the device. `frame.rs` draws with it.
 
+mod ahead;
 mod frame;
 
 use std::collections::HashMap;
@@ -15,7 +16,7 @@ use crate::radiometry::brdf::BrdfUniform;
 use crate::representations::g_buffer::{BAND_BYTES_PER_PIXEL, Band, OUTPUT_WORDS, ProxyGeometry, Rasterizer, band_entries};
 use crate::representations::page_source::CountingSource;
 use crate::representations::{FrameRequest, GpuFrameStats, GpuKernel, Pixels, RenderError};
-use crate::textures::{PageId, PixelFormat, PolicyKind};
+use crate::textures::{Page, PageId, PixelFormat, PolicyKind};
 
 /// All of `kernel.wgsl`'s source.
 pub(crate) const SOURCE: &str = concat!(
@@ -54,11 +55,9 @@ pub(crate) struct ShadingUniform {
 
 // A band has at most this many pixels: 32 MiB on the device with everything that grows with it.
 const MAX_BAND_PIXELS: u32 = 1 << 19;
-// A look ahead has at most this many.
-const MAX_GLANCE_PIXELS: u32 = MAX_BAND_PIXELS / 16;
 // With the copy of the output that is read back.
 const BYTES_PER_PIXEL: u64 = BAND_BYTES_PER_PIXEL + 4 * OUTPUT_WORDS;
-const BAND_BYTES: u64 = (MAX_BAND_PIXELS + MAX_GLANCE_PIXELS) as u64 * BYTES_PER_PIXEL;
+const BAND_BYTES: u64 = MAX_BAND_PIXELS as u64 * BYTES_PER_PIXEL;
 
 /// One dataset on the device.
 pub(crate) struct Kernel {
@@ -77,11 +76,13 @@ pub(crate) struct Kernel {
     pipelines: HashMap<PipelineKey, wgpu::ComputePipeline>,
     // Made with the first page, whose format it takes.
     atlas: Option<BoundAtlas>,
-    // Of frames, and of looks ahead.
-    bands: [Option<BoundBand>; 2],
+    // Of the last frame, or the last look ahead.
+    band: Option<BoundBand>,
     stamp: u32,
     // Which pages the last frame wanted; they do not fit together where there are more than slots.
     last_wanted: Vec<bool>,
+    // Which pages the last look ahead saw.
+    expected: Vec<bool>,
     // Of atlases that are gone.
     earlier: GpuCacheStats,
 }
@@ -135,9 +136,10 @@ impl Kernel {
             touched_read_back: ReadBack::new(&gpu, "touched", 4 * touched_words.len() as u64),
             pipelines: HashMap::new(),
             atlas: None,
-            bands: [None, None],
+            band: None,
             stamp: 0,
             last_wanted: vec![false; field.face_count()],
+            expected: vec![false; field.face_count()],
             earlier: GpuCacheStats::default(),
             policy: PolicyKind::Lru,
             budget_bytes,
@@ -152,7 +154,7 @@ impl Kernel {
     /// The last frame's last band's G-buffer.
     #[cfg(test)]
     pub fn read_g_buffer(&self) -> Vec<crate::representations::g_buffer::GBufferPixel> {
-        self.rasterizer.read_g_buffer(&self.gpu, &self.bands[0].as_ref().expect("a frame was rendered").band)
+        self.rasterizer.read_g_buffer(&self.gpu, &self.band.as_ref().expect("a frame was rendered").band)
     }
 
     /// A budget that leaves room for this many pages in f16, coarse levels aside.
@@ -164,6 +166,11 @@ impl Kernel {
             atlas_budget = shape.bytes_beside() + (shape.pinned_slots as u64 + slots) * shape.page_bytes();
         }
         self.set_budget(self.fixed_bytes() + atlas_budget);
+    }
+
+    #[cfg(test)]
+    pub fn capacity(&self) -> usize {
+        self.atlas.as_ref().map_or(0, |bound| bound.atlas.capacity())
     }
 
     #[cfg(test)]
@@ -222,17 +229,17 @@ impl Kernel {
         self.shader.bind(&self.gpu, 1, &resources.map(wgpu::Buffer::as_entire_binding))
     }
 
-    fn ensure_band(&mut self, which: usize, width: u32, rows: u32) -> Result<(), GpuError> {
-        if self.bands[which].as_ref().is_some_and(|b| (b.band.width, b.band.rows) == (width, rows)) {
+    fn ensure_band(&mut self, width: u32, rows: u32) -> Result<(), GpuError> {
+        if self.band.as_ref().is_some_and(|b| (b.band.width, b.band.rows) == (width, rows)) {
             return Ok(());
         }
         // The old one first, so that both are never held at once.
-        self.bands[which] = None;
+        self.band = None;
         let band = self.rasterizer.band(&self.gpu, width, rows);
         let resources = self.rasterizer.bind_band(&self.gpu, &self.shader, &band);
         let read_back = ReadBack::new(&self.gpu, "output", band.output().size());
         self.gpu.check()?;
-        self.bands[which] = Some(BoundBand { band, resources, read_back });
+        self.band = Some(BoundBand { band, resources, read_back });
         Ok(())
     }
 
@@ -259,8 +266,12 @@ impl GpuKernel for Kernel {
         self.draw(request, pages)
     }
 
-    fn prefetch(&mut self, request: &FrameRequest<'_>, pages: &CountingSource<'_>, upload_bytes: u64) -> Result<usize, RenderError> {
-        self.look_ahead(request, pages, upload_bytes)
+    fn look_ahead(&mut self, request: &FrameRequest<'_>, upload_bytes: u64) -> Result<Vec<PageId>, RenderError> {
+        self.pages_ahead(request, upload_bytes)
+    }
+
+    fn bring_ahead(&mut self, pages: &[(PageId, Arc<Page>)]) -> Result<usize, RenderError> {
+        self.take_ahead(pages)
     }
 
     fn set_policy(&mut self, kind: PolicyKind) {
@@ -276,18 +287,14 @@ impl GpuKernel for Kernel {
         let keeps = self.atlas.as_ref().is_some_and(|a| a.atlas.capacity() >= a.shape.page_count && fits(a));
         self.budget_bytes = budget_bytes;
         if !keeps {
-            self.earlier = GpuCacheStats { resident_pages: 0, resident_bytes: 0, ..self.stats() };
-            if let Some(bound) = self.atlas.take() {
-                self.earlier.evictions += bound.atlas.stats().resident_pages;
-            }
-            self.bands = [None, None];
+            self.earlier = self.stats().after_all_left();
+            self.atlas = None;
+            self.band = None;
         }
     }
 
     fn bytes(&self) -> u64 {
-        let unused = |(band, most): (&Option<BoundBand>, u32)| u64::from(most - band.as_ref().map_or(0, |b| b.band.pixels()));
-        let sizes = self.bands.iter().zip([MAX_BAND_PIXELS, MAX_GLANCE_PIXELS]);
-        let unused = sizes.map(unused).sum::<u64>() * BYTES_PER_PIXEL;
+        let unused = u64::from(MAX_BAND_PIXELS - self.band.as_ref().map_or(0, |b| b.band.pixels())) * BYTES_PER_PIXEL;
         self.fixed_bytes() - unused + self.atlas.as_ref().map_or(0, |a| a.atlas.bytes())
     }
 

@@ -15,8 +15,7 @@ use rayon::prelude::*;
 
 use super::super::coarse::with_levels;
 use super::super::{Blend, Settings};
-use super::{Kernel, MAX_BAND_PIXELS, MAX_GLANCE_PIXELS, ShadingUniform};
-use crate::geometry::{Camera, Intrinsics};
+use super::{Kernel, MAX_BAND_PIXELS, ShadingUniform};
 use crate::gpu::{Gpu, GpuError, conform};
 use crate::representations::page_source::CountingSource;
 use crate::representations::{FrameRequest, GpuFrameStats, Pixels, Provenance, Refine, RenderError, Settings as AnySettings};
@@ -24,14 +23,10 @@ use crate::textures::{Page, PageId};
 
 // At most this many decoded pages wait for their upload.
 const PAGES_IN_FLIGHT: usize = 256;
-// A look ahead is so much coarser than the frame, along each axis.
-const GLANCE_SCALE: u32 = 4;
 // In one submission; a band of single reads has fewer pixels.
-const MOST_DIRECTIONS_AT_ONCE: u32 = 1 << 22;
+pub(super) const MOST_DIRECTIONS_AT_ONCE: u32 = 1 << 22;
 // Which pages a depth-corrected read wants depends on what others hold: seldom on more than two, one after the other.
 const MOST_ROUNDS: u32 = 8;
-const FRAME_BAND: usize = 0;
-const GLANCE_BAND: usize = 1;
 
 /// A frame of which some bands are done.
 struct FrameInProgress<'a, 'p> {
@@ -57,7 +52,7 @@ struct Part {
 }
 
 #[derive(Clone, Copy, PartialEq)]
-enum Fidelity {
+pub(super) enum Fidelity {
     /// Right where every page is there, meaningless elsewhere.
     Exact,
     /// Coarse levels stand in for missing pages.
@@ -106,48 +101,14 @@ impl Kernel {
         Ok((Pixels { color, depth, provenance, pages_needed: wanted_count, is_final }, stats))
     }
 
-    /// Uploads pages that a frame like `request` would miss, at most `upload_bytes`; how many. Draws it small, so it may overlook some.
-    pub(super) fn look_ahead(
-        &mut self,
-        request: &FrameRequest<'_>,
-        pages: &CountingSource<'_>,
-        upload_bytes: u64,
-    ) -> Result<usize, RenderError> {
-        let AnySettings::OffsetSurfaceLightField(settings) = request.settings;
-        self.ensure_atlas(pages)?;
-        let glance = glance(request.camera);
-        let (width, rows) = (glance.intrinsics().width_px, glance.intrinsics().height_px);
-        if width.saturating_mul(rows) > MAX_GLANCE_PIXELS {
-            return Ok(0);
-        }
-        self.ensure_band(GLANCE_BAND, width, rows)?;
-        let gpu = self.gpu.clone();
-        let mut encoder = new_encoder(&gpu);
-        self.rasterizer.draw(&gpu, &mut encoder, &glance, 0, &self.bands[GLANCE_BAND].as_ref().expect("made above").band)?;
-        self.record_shading(&mut encoder, GLANCE_BAND, settings, 0..width * rows, Fidelity::Exact);
-        gpu.queue().submit([encoder.finish()]);
-        let wanted = self.wanted_pages(&gpu)?;
-        let bound = self.atlas.as_ref().expect("made above");
-        let affordable = (upload_bytes / bound.shape.page_bytes()) as usize;
-        // Neither what the last frame showed nor what this one will is given up.
-        let mut keep = self.last_wanted.clone();
-        wanted.iter().for_each(|page| keep[*page as usize] = true);
-        let room = bound.atlas.capacity().saturating_sub(keep.iter().filter(|k| **k).count());
-        let missing: Vec<u32> = wanted.into_iter().filter(|p| !bound.atlas.is_resident(*p)).collect();
-        let ahead = &missing[..missing.len().min(affordable).min(room.max(bound.atlas.free_slots()))];
-        self.bring(&gpu, pages, ahead, &|page| keep[page as usize])?;
-        self.atlas.as_mut().expect("made above").atlas.count_prefetched(ahead.len());
-        Ok(ahead.len())
-    }
-
     fn draw_band(&mut self, frame: &mut FrameInProgress<'_, '_>, first_row: u32, rows: u32) -> Result<(), RenderError> {
         let begin = Instant::now();
         let pages_millis_before = frame.stats.pages_millis;
         let camera = frame.request.camera;
-        self.ensure_band(FRAME_BAND, camera.intrinsics().width_px, rows)?;
+        self.ensure_band(camera.intrinsics().width_px, rows)?;
         let gpu = self.gpu.clone();
         let mut encoder = new_encoder(&gpu);
-        let band = &self.bands[FRAME_BAND].as_ref().expect("made above").band;
+        let band = &self.band.as_ref().expect("made above").band;
         let pixels = band.pixels();
         self.rasterizer.draw(&gpu, &mut encoder, camera, first_row, band)?;
         let mut parts = in_ranges(pixels, frame.settings);
@@ -207,21 +168,22 @@ impl Kernel {
         pixels: Range<u32>,
         fidelity: Fidelity,
     ) {
-        self.record_shading(&mut encoder, FRAME_BAND, frame.settings, pixels, fidelity);
-        let bound = self.bands[FRAME_BAND].as_ref().expect("made before");
+        self.record_shading(&mut encoder, frame.settings, pixels, fidelity, 1);
+        let bound = self.band.as_ref().expect("made before");
         for range in wanted_ranges(bound.band.pixels(), frame.request) {
             encoder.copy_buffer_to_buffer(bound.band.output(), range.start, bound.read_back.buffer(), range.start, range.end - range.start);
         }
         gpu.queue().submit([encoder.finish()]);
     }
 
-    fn record_shading(
+    // A pixel stands for `pixel_scale` of the frame's along each axis.
+    pub(super) fn record_shading(
         &mut self,
         encoder: &mut wgpu::CommandEncoder,
-        band: usize,
         settings: &Settings,
         pixels: Range<u32>,
         fidelity: Fidelity,
+        pixel_scale: u32,
     ) {
         let key = self.pipeline(settings, fidelity == Fidelity::StandIn);
         let coarse = self.atlas.as_ref().expect("made before").coarse;
@@ -242,12 +204,12 @@ impl Kernel {
             face_count: self.field.face_count() as u32,
             first_pixel: pixels.start,
             end_pixel: pixels.end,
-            pixel_scale: if band == GLANCE_BAND { GLANCE_SCALE as f32 } else { 1.0 },
+            pixel_scale: pixel_scale as f32,
             directions: gloss.map_or(0, |gloss| gloss.directions),
             padding: 0,
         };
         self.gpu.queue().write_buffer(&self.shading, 0, bytemuck::bytes_of(&uniform));
-        let (band, atlas) = (self.bands[band].as_ref().expect("made before"), self.atlas.as_ref().expect("made before"));
+        let (band, atlas) = (self.band.as_ref().expect("made before"), self.atlas.as_ref().expect("made before"));
         let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
         pass.set_bind_group(0, &band.resources, &[]);
         pass.set_bind_group(1, &atlas.resources, &[]);
@@ -260,7 +222,7 @@ impl Kernel {
     }
 
     // Waits for the pass; which pages it wanted.
-    fn wanted_pages(&self, gpu: &Gpu) -> Result<Vec<u32>, GpuError> {
+    pub(super) fn wanted_pages(&self, gpu: &Gpu) -> Result<Vec<u32>, GpuError> {
         let stamp = self.stamp;
         self.touched_read_back.request(0..self.touched_read_back.bytes()).finish(gpu, |bytes| {
             let stamps = bytes.chunks_exact(4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]));
@@ -318,7 +280,7 @@ impl Kernel {
 
     fn read_band(&mut self, frame: &mut FrameInProgress<'_, '_>) -> Result<(), RenderError> {
         let begin = Instant::now();
-        let bound = self.bands[FRAME_BAND].as_ref().expect("made before");
+        let bound = self.band.as_ref().expect("made before");
         let pixels = bound.band.pixels() as usize;
         let last = wanted_ranges(bound.band.pixels(), frame.request).last().map_or(0, |r| r.end);
         let (color, depth, provenance) = (&mut frame.color, &mut frame.depth, &mut frame.provenance);
@@ -351,16 +313,6 @@ fn halves(pixels: &Range<u32>) -> Option<[Part; 2]> {
     (middle > pixels.start).then(|| [part(middle..pixels.end), part(pixels.start..middle)])
 }
 
-// The same view with fewer pixels.
-fn glance(camera: &Camera) -> Camera {
-    let Intrinsics { width_px, height_px, focal_px, center_px } = *camera.intrinsics();
-    let (width, height) = (width_px.div_ceil(GLANCE_SCALE), height_px.div_ceil(GLANCE_SCALE));
-    let scale = glam::Vec2::new(width as f32 / width_px as f32, height as f32 / height_px as f32);
-    let small = Intrinsics { width_px: width, height_px: height, focal_px: focal_px * scale, center_px: center_px * scale };
-    // Scaling finite, positive numbers down leaves them so, but for those next to zero.
-    Camera::new(small, *camera.pose()).unwrap_or(*camera)
-}
-
 // Colour, and what else was asked for, as byte ranges of the output; neighbours are merged.
 fn wanted_ranges(pixels: u32, request: &FrameRequest<'_>) -> impl Iterator<Item = Range<u64>> {
     let n = 4 * u64::from(pixels);
@@ -387,7 +339,7 @@ fn exponent(blend: Blend) -> f32 {
     }
 }
 
-fn new_encoder(gpu: &Gpu) -> wgpu::CommandEncoder {
+pub(super) fn new_encoder(gpu: &Gpu) -> wgpu::CommandEncoder {
     gpu.device().create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("frame") })
 }
 

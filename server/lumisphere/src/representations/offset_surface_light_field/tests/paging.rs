@@ -65,7 +65,9 @@ impl Scene {
     fn look_ahead(&mut self, camera: &Camera, upload_bytes: u64) -> usize {
         let settings = self.settings();
         let request = FrameRequest { camera, settings: &settings, outputs: EVERYTHING, refine: Refine::Whole };
-        self.kernel.prefetch(&request, &CountingSource::new(self.pages.as_ref()), upload_bytes).unwrap()
+        let ahead = self.kernel.look_ahead(&request, upload_bytes).unwrap();
+        let pages: Vec<_> = ahead.into_iter().map(|page| (page, self.pages.page(page).unwrap().page)).collect();
+        self.kernel.bring_ahead(&pages).unwrap()
     }
 }
 
@@ -223,11 +225,11 @@ fn frames_that_cannot_be_refined_are_drawn_whole() {
 
 #[test]
 fn pages_brought_ahead_are_there_when_the_frame_comes_and_displace_nothing_that_is_shown() {
-    // Large enough that a look with a sixteenth of its pixels sees nearly every page.
-    let at = |k: f32| WORLD.camera(3.0 * Vec3::new((0.3 * k).cos(), 0.2, (0.3 * k).sin()), Vec3::ZERO, 480, 360);
+    let at = |k: f32| WORLD.camera(3.0 * Vec3::new((0.3 * k).cos(), 0.2, (0.3 * k).sin()), Vec3::ZERO, 160, 120);
     let cameras = [at(0.0), at(1.0), at(2.0)];
     let Some(mut scene) = Scene::in_memory(&WORLD) else { return };
     scene.filter = Filter::Footprint;
+    assert_eq!(scene.look_ahead(&cameras[1], 1000 * PAGE_BYTES), 0, "before the first frame");
     scene.draw(&cameras[0], Refine::Whole).unwrap();
     let before = scene.kernel.stats();
     let ahead = scene.look_ahead(&cameras[1], 1000 * PAGE_BYTES) as u64;
@@ -236,8 +238,33 @@ fn pages_brought_ahead_are_there_when_the_frame_comes_and_displace_nothing_that_
     assert_eq!((after.prefetched, after.uploads, after.look_ups), (ahead, before.uploads + ahead, before.look_ups));
     assert_eq!(scene.draw(&cameras[0], Refine::Whole).unwrap().1.pages_uploaded, 0);
     let left = scene.draw(&cameras[1], Refine::Whole).unwrap().1.pages_uploaded as u64;
-    assert!(left < ahead / 2, "{left} missed after {ahead} were brought");
+    assert_eq!(left, 0, "missed after {ahead} were brought");
+    // Nothing stands before the object: a look sees just what the frame wants.
+    let stats = scene.kernel.stats();
+    assert_eq!((stats.prefetch_used, stats.prefetch_wasted), (ahead, 0));
+    // Wasted once they leave before any frame wants them.
     assert_eq!(scene.look_ahead(&cameras[2], 3 * PAGE_BYTES), 3);
+    scene.kernel.set_slots(2);
+    let stats = scene.kernel.stats();
+    assert_eq!((stats.prefetched, stats.prefetch_used, stats.prefetch_wasted), (ahead + 3, ahead, 3));
+}
+
+#[test]
+fn pages_brought_ahead_find_only_the_room_that_is_left() {
+    let cameras = orbit(&WORLD, 4);
+    let Some(mut scene) = Scene::in_memory(&WORLD) else { return };
+    let shown = scene.draw(&cameras[0], Refine::Whole).unwrap().0.pages_needed;
+    // Rounded down to whole layers.
+    scene.kernel.set_slots(shown as u64 * 3 / 2);
+    scene.draw(&cameras[0], Refine::Whole).unwrap();
+    let room = scene.kernel.capacity() - shown;
+    assert!(room > 0 && room < shown, "{room} slots left");
+    let ahead = scene.look_ahead(&cameras[2], 1000 * PAGE_BYTES);
+    assert!(ahead > 0 && ahead <= room, "{ahead} in {room} slots");
+    assert_eq!(scene.draw(&cameras[0], Refine::Whole).unwrap().1.pages_uploaded, 0);
+    // Those have the room now; the next look expects others, for which they leave.
+    assert!(scene.look_ahead(&cameras[3], 1000 * PAGE_BYTES) <= room);
+    assert_eq!(scene.draw(&cameras[0], Refine::Whole).unwrap().1.pages_uploaded, 0);
 }
 
 #[test]

@@ -1,0 +1,89 @@
+//! Pages brought before the frame that wants them: a look at the frame to come tells which, without reading any; whoever has read them
+//! hands them in. Both are bounded work, between which frames are drawn.
+
+use std::sync::Arc;
+
+use rayon::prelude::*;
+
+use super::super::Settings;
+use super::super::coarse::with_levels;
+use super::frame::{Fidelity, MOST_DIRECTIONS_AT_ONCE, new_encoder};
+use super::{Kernel, MAX_BAND_PIXELS, gloss};
+use crate::geometry::{Camera, Intrinsics};
+use crate::gpu::conform;
+use crate::representations::{FrameRequest, RenderError, Settings as AnySettings};
+use crate::textures::{Page, PageId};
+
+impl Kernel {
+    /// Pages that a frame like `request` would miss, at most `upload_bytes` of texels and no more than there are slots that neither the last
+    /// frame nor this one wants. Looks at the object alone, whatever stands before it, and at large frames with fewer pixels. None before
+    /// the first frame.
+    pub(super) fn pages_ahead(&mut self, request: &FrameRequest<'_>, upload_bytes: u64) -> Result<Vec<PageId>, RenderError> {
+        let AnySettings::OffsetSurfaceLightField(settings) = request.settings;
+        if self.atlas.is_none() {
+            return Ok(Vec::new());
+        }
+        let scale = scale(request.camera, settings);
+        let camera = scaled_down(request.camera, scale);
+        let (width, rows) = (camera.intrinsics().width_px, camera.intrinsics().height_px);
+        self.ensure_band(width, rows)?;
+        let gpu = self.gpu.clone();
+        let mut encoder = new_encoder(&gpu);
+        self.rasterizer.draw_object(&gpu, &mut encoder, &camera, &self.band.as_ref().expect("made above").band)?;
+        self.record_shading(&mut encoder, settings, 0..width * rows, Fidelity::Exact, scale);
+        gpu.queue().submit([encoder.finish()]);
+        let wanted = self.wanted_pages(&gpu)?;
+        self.expected.fill(false);
+        wanted.iter().for_each(|page| self.expected[*page as usize] = true);
+        let bound = self.atlas.as_ref().expect("looked at above");
+        let affordable = (upload_bytes / bound.shape.page_bytes()) as usize;
+        let missing = wanted.into_iter().filter(|page| !bound.atlas.is_resident(*page));
+        Ok(missing.take(affordable.min(self.slots_ahead())).map(PageId).collect())
+    }
+
+    /// Uploads `pages`, as far as neither what the last frame showed nor what the last look ahead expects has to leave for them; how many.
+    pub(super) fn take_ahead(&mut self, pages: &[(PageId, Arc<Page>)]) -> Result<usize, RenderError> {
+        let room = self.slots_ahead();
+        let Some(bound) = &mut self.atlas else { return Ok(0) };
+        let (field, atlas) = (&self.field, &mut bound.atlas);
+        let (shape, levels) = (bound.shape, bound.coarse.levels_before());
+        let missing = |page: &PageId| (page.0 as usize) < field.face_count() && !atlas.is_resident(page.0);
+        let fresh: Vec<&(PageId, Arc<Page>)> = pages.iter().filter(|(page, _)| missing(page)).take(room).collect();
+        let prepared = fresh.into_par_iter().map(|(page, image)| {
+            field.check_page(page.0, image.shape())?;
+            Ok((page.0, with_levels(conform(image.clone(), shape)?, levels)?))
+        });
+        let prepared: Vec<(u32, Vec<Arc<Page>>)> = prepared.collect::<Result<_, RenderError>>()?;
+        let (shown, expected) = (&self.last_wanted, &self.expected);
+        atlas.upload(&self.gpu, &prepared, &|page| shown[page as usize] || expected[page as usize])?;
+        atlas.note_ahead(prepared.iter().map(|(page, _)| *page));
+        Ok(prepared.len())
+    }
+
+    // Free ones, and those of pages that nobody is known to want.
+    fn slots_ahead(&self) -> usize {
+        let Some(bound) = &self.atlas else { return 0 };
+        let is_kept = |page: u32| self.last_wanted[page as usize] || self.expected[page as usize];
+        let kept = (0..bound.shape.page_count as u32).filter(|page| is_kept(*page) && bound.atlas.is_resident(*page));
+        bound.atlas.capacity() - kept.count()
+    }
+}
+
+// The least at which a frame fits a band, in one submission.
+fn scale(camera: &Camera, settings: &Settings) -> u32 {
+    let directions = gloss(settings.component).map_or(1, |gloss| gloss.directions);
+    let most = u64::from(MAX_BAND_PIXELS.min(MOST_DIRECTIONS_AT_ONCE / directions).max(1));
+    let Intrinsics { width_px, height_px, .. } = *camera.intrinsics();
+    let fits = |scale: &u32| u64::from(width_px.div_ceil(*scale)) * u64::from(height_px.div_ceil(*scale)) <= most;
+    (1..).find(fits).expect("one pixel is within any limit")
+}
+
+// The same view with fewer pixels.
+fn scaled_down(camera: &Camera, scale: u32) -> Camera {
+    let Intrinsics { width_px, height_px, focal_px, center_px } = *camera.intrinsics();
+    let (width, height) = (width_px.div_ceil(scale), height_px.div_ceil(scale));
+    let shrink = glam::Vec2::new(width as f32 / width_px as f32, height as f32 / height_px as f32);
+    let small = Intrinsics { width_px: width, height_px: height, focal_px: focal_px * shrink, center_px: center_px * shrink };
+    // Scaling finite, positive numbers down leaves them so, but for those next to zero.
+    Camera::new(small, *camera.pose()).unwrap_or(*camera)
+}

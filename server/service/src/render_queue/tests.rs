@@ -1,0 +1,143 @@
+//! Who waits, who is refused, who goes first.
+
+use std::convert::Infallible;
+use std::sync::atomic::{AtomicU32, Ordering};
+
+use super::*;
+
+fn queue(length: usize) -> RenderQueue<u32> {
+    RenderQueue::start(length, || Ok::<u32, Infallible>(0)).unwrap()
+}
+
+/// Occupies the thread until the sender is dropped or used.
+fn hold(queue: &RenderQueue<u32>) -> (Sender<()>, tokio::task::JoinHandle<()>) {
+    let (release, released) = bounded::<()>(1);
+    let (begun, has_begun) = bounded::<()>(1);
+    let queue = queue.clone();
+    let held = tokio::spawn(async move {
+        let work = move |_: &mut u32| {
+            let _ = begun.send(());
+            let _ = released.recv();
+        };
+        queue.run(Priority::Viewer, None, work).await.unwrap();
+    });
+    tokio::task::block_in_place(|| has_begun.recv().unwrap());
+    (release, held)
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn one_more_than_allowed_is_refused_and_room_comes_back() {
+    let queue = queue(1);
+    let (release, held) = hold(&queue);
+    assert_eq!(queue.run(Priority::Viewer, None, |_| ()).await.unwrap_err(), QueueError::Full { waiting: 1 });
+    release.send(()).unwrap();
+    held.await.unwrap();
+    assert_eq!(queue.run(Priority::Viewer, None, |_| 5).await.unwrap().value, 5);
+    assert_eq!(queue.waiting(), 0);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn work_whose_deadline_passed_or_whose_caller_left_is_never_begun() {
+    let queue = queue(8);
+    let begun = Arc::new(AtomicU32::new(0));
+    let counted = |begun: &Arc<AtomicU32>| {
+        let begun = begun.clone();
+        move |_: &mut u32| begun.fetch_add(1, Ordering::SeqCst)
+    };
+    let (release, held) = hold(&queue);
+    let soon = Instant::now() + Duration::from_millis(5);
+    let late = tokio::spawn({
+        let (queue, work) = (queue.clone(), counted(&begun));
+        async move { queue.run(Priority::Viewer, Some(soon), work).await.map(|r| r.value) }
+    });
+    let left = tokio::time::timeout(Duration::from_millis(5), queue.run(Priority::Viewer, None, counted(&begun))).await;
+    assert!(left.is_err());
+    tokio::time::sleep_until(soon).await;
+    release.send(()).unwrap();
+    held.await.unwrap();
+    assert_eq!(late.await.unwrap(), Err(QueueError::DeadlineExceeded));
+    assert_eq!(queue.run(Priority::Viewer, None, counted(&begun)).await.unwrap().value, 0, "nothing ran before");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn viewers_go_before_jobs() {
+    let queue = queue(8);
+    let (release, held) = hold(&queue);
+    let run = |priority| {
+        let queue = queue.clone();
+        async move {
+            let work = |order: &mut u32| {
+                *order += 1;
+                *order
+            };
+            queue.run(priority, None, work).await.unwrap().value
+        }
+    };
+    // Polled once each, in this order, both are in their channels.
+    let mut job = Box::pin(run(Priority::Batch));
+    assert!(futures_poll_once(job.as_mut()).await.is_none());
+    let mut viewer = Box::pin(run(Priority::Viewer));
+    assert!(futures_poll_once(viewer.as_mut()).await.is_none());
+    release.send(()).unwrap();
+    held.await.unwrap();
+    assert_eq!(tokio::join!(job, viewer), (2, 1));
+}
+
+async fn futures_poll_once<F: Future>(future: std::pin::Pin<&mut F>) -> Option<F::Output> {
+    let mut future = Some(future);
+    std::future::poll_fn(move |cx| {
+        let polled = future.take().expect("polled once").poll(cx);
+        std::task::Poll::Ready(match polled {
+            std::task::Poll::Ready(value) => Some(value),
+            std::task::Poll::Pending => None,
+        })
+    })
+    .await
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_panic_is_told_to_its_caller_and_the_next_frame_has_a_fresh_renderer() {
+    let queue = queue(8);
+    queue.run(Priority::Viewer, None, |r| *r = 9).await.unwrap();
+    let failed = queue.run(Priority::Viewer, None, |_| -> u32 { panic!("on purpose") }).await.unwrap_err();
+    assert_eq!(failed, QueueError::Panicked("on purpose".into()));
+    assert_eq!(queue.run(Priority::Viewer, None, |r| *r).await.unwrap().value, 0);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn idle_work_goes_after_everyone_and_takes_no_place_from_a_render() {
+    let queue = queue(SLOTS + 1);
+    let (release, held) = hold(&queue);
+    let count = |order: &mut u32| {
+        *order += 1;
+        *order
+    };
+    // Polled first, it waits for the thread; another waits for it.
+    let mut idle = Box::pin(queue.run_idle(count));
+    assert!(futures_poll_once(idle.as_mut()).await.is_none());
+    let mut next_idle = Box::pin(queue.run_idle(count));
+    assert!(futures_poll_once(next_idle.as_mut()).await.is_none());
+    assert_eq!(queue.waiting(), 1, "only the render that holds the thread counts");
+    let mut job = Box::pin(queue.run(Priority::Batch, None, count));
+    assert!(futures_poll_once(job.as_mut()).await.is_none());
+    let mut viewer = Box::pin(queue.run(Priority::Viewer, None, count));
+    assert!(futures_poll_once(viewer.as_mut()).await.is_none());
+    release.send(()).unwrap();
+    held.await.unwrap();
+    let (viewer, job, idle, next_idle) = tokio::join!(viewer, job, idle, next_idle);
+    assert_eq!((viewer.unwrap().value, job.unwrap().value, idle, next_idle), (1, 2, Ok(3), Ok(4)));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn idle_work_whose_caller_left_is_never_begun_and_a_panic_of_it_is_told() {
+    let queue = queue(8);
+    let (release, held) = hold(&queue);
+    let mut left = Box::pin(queue.run_idle(|order| *order = 9));
+    assert!(futures_poll_once(left.as_mut()).await.is_none());
+    drop(left);
+    release.send(()).unwrap();
+    held.await.unwrap();
+    assert_eq!(queue.run_idle(|order| *order).await, Ok(0));
+    assert_eq!(queue.run_idle(|_| -> u32 { panic!("on purpose") }).await, Err(QueueError::Panicked("on purpose".into())));
+    assert_eq!(queue.run_idle(|order| *order).await, Ok(0));
+}

@@ -1,0 +1,136 @@
+//! Pages brought ahead of a moving viewer's next frame, through the real server.
+
+use std::time::Instant;
+
+use lumisphere_proto::v1alpha1 as wire;
+use serde_json::Value;
+use wire::interact_request::Message as Up;
+use wire::offset_surface_light_field_settings::{Blend, Component, Filter};
+use wire::render_settings::Representation;
+
+use crate::clients::Viewer;
+use crate::process::{PATIENCE, Server, temporary_folder};
+use crate::system::get;
+use crate::tiny;
+use crate::wire::{camera, settings};
+
+const STEPS: u64 = 8;
+
+/// Once around the box.
+fn around(step: u64) -> wire::Camera {
+    let (sin, cos) = (std::f32::consts::TAU * step as f32 / STEPS as f32).sin_cos();
+    let vector = |x, y, z| Some(wire::Vector3 { x, y, z });
+    let pose = wire::Pose {
+        position: vector(3.0 * sin, 1.0, 3.0 * cos),
+        right: vector(cos, 0.0, -sin),
+        up: vector(0.0, 1.0, 0.0),
+        backward: vector(sin, 0.0, cos),
+    };
+    wire::Camera { pose: Some(pose), ..camera(64, 48) }
+}
+
+/// Every read wants a page: without filtering none is coarse.
+fn mirror() -> wire::RenderSettings {
+    let mut settings = settings(Component::Mirror, Blend::Distance);
+    if let Some(Representation::OffsetSurfaceLightField(field)) = &mut settings.representation {
+        field.filter = Filter::Bilinear.into();
+    }
+    settings
+}
+
+fn gpu(server: &Server) -> Value {
+    let stats = server.json(&["cache", "stats"]);
+    stats["tiers"].as_array().unwrap().iter().find(|t| t["tier"] == "gpu").expect("an adapter").clone()
+}
+
+fn count(tier: &Value, key: &str) -> u64 {
+    tier[key].as_u64().unwrap_or_else(|| panic!("no {key} in {tier:#}"))
+}
+
+/// Until the server has looked ahead so often.
+fn wait_for_looks(server: &Server, looks: u64) {
+    let (begin, told) = (Instant::now(), format!("lumisphere_looks_ahead_total {looks}"));
+    while !get(&server.http, "/metrics").1.lines().any(|line| line == told) {
+        assert!(begin.elapsed() < PATIENCE, "not {looks} looks ahead in time");
+    }
+}
+
+/// The frames of the path, each asked for once the one before has come and `between(frames so far)` has passed.
+async fn walk(viewer: &mut Viewer, cameras: impl Iterator<Item = wire::Camera>, between: impl Fn(u64)) -> Vec<bytes::Bytes> {
+    let mut colors = Vec::new();
+    for (pose_id, camera) in (1..).zip(cameras) {
+        viewer.pose(pose_id, camera).await;
+        let frame = viewer.frame().await;
+        assert_eq!((frame.pose_id, frame.is_final), (pose_id, true));
+        viewer.send(Up::Acknowledge(wire::FrameAcknowledgement { frame_id: frame.frame_id })).await;
+        colors.push(frame.color);
+        between(pose_id);
+    }
+    colors
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_moving_viewer_misses_less_with_pages_brought_ahead_and_sees_the_same() {
+    let folder = temporary_folder();
+    let data = folder.path().join("data");
+    let off = Server::start_with(&data, &["--prefetch", "off"]);
+    tiny::capture(&off, folder.path());
+    if off.json(&["system", "info"])["adapter"] == "" {
+        assert!(std::env::var_os("REQUIRE_GPU").is_none(), "no adapter");
+        return;
+    }
+    let without = walk(&mut Viewer::open_with(&off, 1, mirror()).await, (0..STEPS).map(around), |_| {}).await;
+    let missed_without = count(&gpu(&off), "misses");
+    assert_eq!(count(&gpu(&off), "prefetched"), 0);
+    assert_eq!(off.stop(), Some(0));
+
+    let server = Server::start(&data);
+    // After the second frame there is motion.
+    let looked = |frames: u64| {
+        if frames > 1 {
+            wait_for_looks(&server, frames - 1)
+        }
+    };
+    let with = walk(&mut Viewer::open_with(&server, 1, mirror()).await, (0..STEPS).map(around), looked).await;
+    assert!(with == without, "other frames");
+    let tier = gpu(&server);
+    let (missed, ahead, used) = (count(&tier, "misses"), count(&tier, "prefetched"), count(&tier, "prefetch_used"));
+    // The first two frames find nothing brought; extrapolation on a circle of eight steps is rough.
+    assert!(missed < missed_without, "{missed} after {missed_without}: {tier:#}");
+    assert!(0 < used && used + count(&tier, "prefetch_wasted") <= ahead, "{tier:#}");
+    assert_eq!(missed_without - missed, used, "every page of use is a miss less");
+    assert_eq!(count(&tier, "look_ups"), count(&tier, "hits") + count(&tier, "misses"));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn two_viewers_at_once_are_served_while_pages_are_brought_ahead() {
+    let folder = temporary_folder();
+    let server = Server::start(&folder.path().join("data"));
+    tiny::capture(&server, folder.path());
+    if server.json(&["system", "info"])["adapter"] == "" {
+        assert!(std::env::var_os("REQUIRE_GPU").is_none(), "no adapter");
+        return;
+    }
+    let alone = walk(&mut Viewer::open_with(&server, 1, mirror()).await, (0..STEPS).map(around), |_| {}).await;
+    server.json(&["cache", "clear"]);
+    let (mut first, mut second) = (Viewer::open_with(&server, 2, mirror()).await, Viewer::open_with(&server, 2, mirror()).await);
+    let backwards = (0..STEPS).rev().map(around);
+    let (forth, back) = tokio::join!(walk(&mut first, (0..STEPS).map(around), |_| {}), walk(&mut second, backwards, |_| {}));
+    assert!(forth == alone && back.into_iter().rev().collect::<Vec<_>>() == alone);
+    let tier = gpu(&server);
+    assert_eq!(count(&tier, "look_ups"), count(&tier, "hits") + count(&tier, "misses"), "{tier:#}");
+    assert!(count(&tier, "prefetch_used") + count(&tier, "prefetch_wasted") <= count(&tier, "prefetched"), "{tier:#}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_viewer_at_rest_brings_nothing_ahead() {
+    let folder = temporary_folder();
+    let server = Server::start(&folder.path().join("data"));
+    tiny::capture(&server, folder.path());
+    let mut viewer = Viewer::open_with(&server, 1, mirror()).await;
+    // The same pose again and again: a look would come before the next frame's answer, or beside it.
+    walk(&mut viewer, (0..6).map(|_| around(0)), |_| {}).await;
+    // Then two steps: the look after the second is the first of all.
+    walk(&mut viewer, (0..2).map(around), |_| {}).await;
+    wait_for_looks(&server, 1);
+}
