@@ -130,6 +130,25 @@ fn a_recorded_frame_is_replayed_and_charted() {
     let svg = fs::read_to_string(&chart).unwrap();
     assert!(svg.contains("belady") && svg.contains("cache size in pages"));
 
+    // On the server, while it serves: the real caches miss what was predicted for them and say what it took.
+    let on_server =
+        ["--json", "cache", "replay", &trace, "--sizes", "1,4,16", "--strategies", "block", "--on-server", "--force", "--out", &csv];
+    let counters = server.json(&["cache", "stats"]);
+    let rows = server.json(&on_server[1..]);
+    for row in rows.as_array().unwrap() {
+        let is_real = row["policy"] != "belady";
+        assert_eq!((row["millis"].as_f64().is_some_and(|millis| millis > 0.0), row["bytes_read"].is_u64()), (is_real, is_real), "{row}");
+    }
+    let read = |size: u64| {
+        let row = rows.as_array().unwrap().iter().find(|r| r["policy"] == "lru" && r["size_pages"] == size);
+        count(&row.unwrap_or_else(|| panic!("no row of {size} in {rows:#}"))["bytes_read"])
+    };
+    assert!(read(1) > read(16), "{rows:#}");
+    assert_eq!(server.json(&["cache", "stats"])["texels"], counters["texels"], "a replay counted as the server's own reads");
+    for value in ["time", "excess", "decoded"] {
+        server.succeed(&["cache", "report", &csv, "--strategy", "block", "--value", value, "--force", "--out", &chart]);
+    }
+
     // A wandering viewer's first places are not the orbit's.
     let walk = at("walk.lstr");
     server.succeed(&[&record[..record.len() - 1], &[&walk, "--walk"]].concat());
@@ -209,4 +228,57 @@ fn a_load_test_reports_latency_and_misses_and_leaves_the_cache_as_it_was() {
     assert_eq!(tier(&after, "memory")["budget_bytes"], tier(&before, "memory")["budget_bytes"]);
     let paper = server.json(&["load", "--dataset", DATASET, "--paper", "--size", "64x48", "--quiet"]);
     assert_eq!(paper.as_array().unwrap().len(), 22);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn replays_are_bounded_one_at_a_time_and_end_when_the_client_leaves() {
+    use wire::replay_trace_request::Message;
+    let folder = temporary_folder();
+    let server = Server::start(&folder.path().join("data"));
+    tiny::capture(&server, folder.path());
+    let mut cache = cache(&server).await;
+    let shape = |height| lumisphere::textures::PageShape { width: 16, height, channels: 4, pixel: lumisphere::textures::PixelFormat::F32 };
+    let bytes = |dataset: &str, page_count: u32, height: u32, (page, row, fetches): (u32, u32, u32)| {
+        let version = lumisphere::textures::TracedVersion { dataset: dataset.into(), version: 1, page_count, shape: shape(height) };
+        let event = lumisphere::textures::TraceEvent::Row { version: 0, page: lumisphere::textures::PageId(page), row, fetches };
+        lumisphere::textures::Trace { versions: vec![version], events: vec![event], is_truncated: false }.to_bytes()
+    };
+    let request = |sizes_pages: Vec<u32>, trace: Vec<u8>| {
+        let settings = wire::ReplaySettings { sizes_pages, ..Default::default() };
+        [Message::Settings(settings), Message::Trace(trace.into())].map(|message| wire::ReplayTraceRequest { message: Some(message) })
+    };
+    let good = bytes(DATASET, 10, 16, (0, 3, 5));
+    for (sizes, trace, code, reason) in [
+        (vec![], good.clone(), Code::InvalidArgument, "FIELD_INVALID"),
+        (vec![u32::MAX], good.clone(), Code::InvalidArgument, "FIELD_INVALID"),
+        (vec![1], good[..good.len() - 1].to_vec(), Code::InvalidArgument, "FIELD_INVALID"),
+        // Pages and rows that the trace claims and the store does not have; more fetches than a replay takes.
+        (vec![1], bytes(DATASET, 1 << 20, 16, (1 << 19, 0, 1)), Code::InvalidArgument, "FIELD_INVALID"),
+        (vec![1], bytes(DATASET, 10, 64, (0, 63, 1)), Code::InvalidArgument, "FIELD_INVALID"),
+        (vec![1], bytes(DATASET, 10, 16, (0, 0, u32::MAX)), Code::InvalidArgument, "FIELD_INVALID"),
+        (vec![1], bytes("nothing", 10, 16, (0, 0, 1)), Code::NotFound, "DATASET_NOT_FOUND"),
+    ] {
+        let mut outcomes = cache.replay_trace(tokio_stream::iter(request(sizes.clone(), trace))).await.unwrap().into_inner();
+        let status = outcomes.message().await.unwrap_err();
+        assert_eq!(code_and_reason(&status), (code, reason.to_string()), "{sizes:?}: {status:?}");
+    }
+    // One that has not sent its trace has the place; who leaves frees it.
+    let (up, messages) = tokio::sync::mpsc::channel(1);
+    let first = cache.replay_trace(tokio_stream::wrappers::ReceiverStream::new(messages)).await.unwrap();
+    let status = cache.replay_trace(tokio_stream::iter(request(vec![1], good.clone()))).await.unwrap_err();
+    assert_eq!(code_and_reason(&status), (Code::Aborted, "REPLAY_BUSY".into()));
+    drop((up, first));
+    let mut outcomes = loop {
+        match cache.replay_trace(tokio_stream::iter(request(vec![1, 2], good.clone()))).await {
+            Ok(outcomes) => break outcomes.into_inner(),
+            Err(status) => assert_eq!(status.code(), Code::Aborted, "{status:?}"),
+        }
+    };
+    let mut told = Vec::new();
+    while let Some(outcome) = outcomes.message().await.unwrap() {
+        let texels = outcome.texels.unwrap();
+        assert_eq!((texels.texel_fetches, texels.texel_misses), (5, 1), "{outcome:?}");
+        told.push((outcome.done, outcome.total));
+    }
+    assert_eq!(told, (1..=50).map(|done| (done, 50)).collect::<Vec<_>>());
 }

@@ -91,7 +91,7 @@ impl ConfigureFlags {
 /// Runs one.
 pub async fn run(command: Command, context: &Context) -> anyhow::Result<()> {
     let answer = match command {
-        Command::Replay(arguments) => return laboratory::replay(&arguments, context),
+        Command::Replay(arguments) => return laboratory::replay(&arguments, context).await,
         Command::Report(arguments) => return laboratory::report(&arguments, context),
         Command::Record(arguments) => return recording::run(&arguments, context).await,
         Command::Watch { interval_seconds } => return watch(interval_seconds, context).await,

@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 use glam::Vec3;
 use lumisphere::geometry::{Camera, Intrinsics, Pose};
 use lumisphere::progress::Unattended;
-use lumisphere::render::{Backend, Frame, FrameRequest, Outputs, Refine, Renderer, Representation, Settings};
+use lumisphere::render::{Backend, Frame, FrameRequest, Outputs, Refine, Renderer, Representation, Settings, UploadUnit};
 use lumisphere::representations::offset_surface_light_field::{
     Blend, Component, ConstructSettings, Filter, OffsetSurfaceLightField, PartsError, Settings as OslfSettings, Spacing, construct,
     from_parts,
@@ -92,6 +92,7 @@ fn report_paging(field: &Arc<dyn Representation>, version: &Arc<DatasetVersion>,
     let settings = OslfSettings { component: Component::Mirror, blend, specular_reflectance: Vec3::ONE, filter: Filter::Footprint };
     let settings = Settings::OffsetSurfaceLightField(settings);
     let cameras: Vec<Camera> = (0..STEPS).map(|k| orbit_at(center, radius, k as f32 / STEPS as f32)).collect();
+    report_units(field, version, &settings, &cameras);
     report_idle_time(field, version, &settings, &cameras);
     println!("cap, pages  ahead  not final  uploaded  brought ahead  CPU a frame, ms");
     for (cap, ahead) in [(4, false), (4, true), (8, false), (8, true), (16, false), (16, true)] {
@@ -116,6 +117,31 @@ fn report_paging(field: &Arc<dyn Representation>, version: &Arc<DatasetVersion>,
         let cpu = (cpu_millis() - before) / frames as f64;
         let (uploads, prefetched) = (stats.uploads - start.uploads, stats.prefetched);
         println!("{cap:>10} {ahead:>6} {not_final:>6} / {frames} {uploads:>8} {prefetched:>8} {cpu:>10.1}");
+    }
+}
+
+// A revolution from an empty atlas, of pages the rows that are wanted or the whole of them.
+fn report_units(field: &Arc<dyn Representation>, version: &Arc<DatasetVersion>, settings: &Settings, cameras: &[Camera]) {
+    println!("unit   cap, MiB  first frame: MB, ms  not final  uploaded, MB  in pages  CPU a frame, ms");
+    for (unit, cap_mib) in [UploadUnit::Pages, UploadUnit::Rows].into_iter().flat_map(|unit| [(unit, 1), (unit, 16), (unit, 1), (unit, 16)])
+    {
+        let pages = CachedPages { cache: Arc::new(Cache::new(CacheOptions::decoded(4 << 30))), version: version.clone() };
+        let renderer = Renderer::with_gpu(GPU_BUDGET_BYTES).expect("there was one");
+        let draw =
+            |camera, refine| renderer.render(field, &pages, &request(camera, settings, refine), Some(Backend::Gpu)).expect("a frame");
+        // Compiles the kernel.
+        draw(&cameras[0], Refine::UpTo { upload_bytes: 0 });
+        renderer.set_upload_unit(unit);
+        draw(&cameras[0], Refine::UpTo { upload_bytes: 0 });
+        let first = draw(&cameras[0], Refine::Whole).stats.total_millis;
+        let (start, before) = (renderer.gpu_stats().expect("a GPU"), cpu_millis());
+        let refine = Refine::UpTo { upload_bytes: cap_mib << 20 };
+        let not_final = cameras[1..].iter().filter(|camera| !draw(camera, refine).pixels.is_final).count();
+        let (stats, frames) = (renderer.gpu_stats().expect("a GPU"), cameras.len() - 1);
+        let (cpu, megabytes) = ((cpu_millis() - before) / frames as f64, |bytes: u64| bytes as f64 / 1e6);
+        let (cold, uploaded) = (megabytes(start.bytes_uploaded), megabytes(stats.bytes_uploaded - start.bytes_uploaded));
+        let uploads = stats.uploads - start.uploads;
+        println!("{unit:?}  {cap_mib:>8} {cold:>16.1} {first:>6.1} {not_final:>5} / {frames} {uploaded:>13.1} {uploads:>9} {cpu:>16.1}");
     }
 }
 

@@ -19,6 +19,9 @@ use self::gpu_tier::GpuTier;
 use crate::gpu::{Gpu, GpuCacheStats};
 #[cfg(feature = "gpu")]
 use crate::representations::GpuKernel;
+#[cfg(feature = "gpu")]
+#[doc(hidden)]
+pub use crate::representations::UploadUnit;
 use crate::representations::{CountingSource, CpuKernel};
 pub use crate::representations::{
     FrameRequest, GpuFrameStats, Outputs, PageSource, PageUse, Pixels, Provenance, Refine, RenderError, Representation, Settings,
@@ -281,6 +284,13 @@ impl Renderer {
     pub fn set_gpu_policy(&self, policy: PolicyKind) {
         let Some(side) = &self.gpu else { return };
         side.tier().set_policy(policy);
+    }
+
+    /// For the bench that compares both.
+    #[doc(hidden)]
+    pub fn set_upload_unit(&self, unit: UploadUnit) {
+        let Some(side) = &self.gpu else { return };
+        side.tier().set_upload_unit(unit);
     }
 
     /// Which pages leave the device first; None without a GPU.

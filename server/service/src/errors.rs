@@ -98,7 +98,7 @@ pub fn code_of(reason: Reason) -> Code {
         | Reason::FormatTooNew
         | Reason::NoGpu
         | Reason::InteractionOrder => Code::FailedPrecondition,
-        Reason::DatasetBusy | Reason::RecordingBusy => Code::Aborted,
+        Reason::DatasetBusy | Reason::RecordingBusy | Reason::ReplayBusy => Code::Aborted,
         Reason::BlobHashMismatch | Reason::DataCorrupt => Code::DataLoss,
         Reason::UploadTooLarge
         | Reason::JobQueueFull

@@ -10,6 +10,7 @@ mod frames;
 mod jobs;
 mod prefetch;
 mod render_queue;
+mod replay;
 mod serve;
 mod sessions;
 mod shutdown;
@@ -129,6 +130,7 @@ fn assemble(effective: Effective, runtime: &tokio::runtime::Handle) -> anyhow::R
         metrics,
         adapter,
         gpu_baseline: std::sync::Mutex::default(),
+        replays: Arc::new(tokio::sync::Semaphore::new(1)),
         stopping: CancellationToken::new(),
         started: Instant::now(),
         frame_ids: AtomicU64::new(0),

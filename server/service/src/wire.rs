@@ -7,6 +7,7 @@ pub mod camera;
 pub mod datasets;
 pub mod frames;
 pub mod jobs;
+pub mod replay;
 pub mod scenes;
 pub mod settings;
 

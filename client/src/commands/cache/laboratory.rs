@@ -1,10 +1,12 @@
 //! `lumisphere cache replay` and `cache report`: other caches' fate under a recorded trace.
 
+mod on_server;
+
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
-use clap::Args;
+use clap::{Args, ValueEnum};
 use lumisphere::charts::{Line, LineChart, svg};
 use lumisphere::textures::laboratory::{self, Order, Outcome, compare};
 use lumisphere::textures::{CacheOptions, Codec, PolicyKind, ReadStrategy, Store, StoreOptions, Trace};
@@ -41,6 +43,9 @@ pub struct Arguments {
     /// pages then unpack as they are stored, whatever --codec says
     #[arg(long, value_name = "FOLDER")]
     data_dir: Option<PathBuf>,
+    /// Also send the trace through real caches on the server, over its data, while it serves: bytes read and the time that it took
+    #[arg(long, conflicts_with = "data_dir")]
+    on_server: bool,
     /// Write the table as CSV to this file
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
@@ -58,6 +63,9 @@ pub struct ReportArguments {
     /// The chart to write, SVG
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
+    /// What to draw against the size
+    #[arg(long, value_enum, default_value = "misses")]
+    value: Value,
     /// Draw this strategy's lines
     #[arg(long, value_name = "STRATEGY", default_value = "block")]
     strategy: ReadStrategy,
@@ -81,14 +89,44 @@ struct Row {
     bytes_decoded: u64,
     /// (loads − Belady's) / (LRU's − Belady's); none where LRU is optimal.
     excess: Option<f64>,
-    /// All requests through a real cache on one thread; none without a data folder and for Belady's order, which no cache can have.
+    /// All requests through a real cache on one thread; none where no data are at hand and for Belady's order, which no cache can have.
     millis: Option<f64>,
+    /// Of those, reading and unpacking.
+    decode_millis: Option<f64>,
+    /// From disk, by the real cache.
+    bytes_read: Option<u64>,
 }
 
-const HEAD: &str = "strategy,policy,size_pages,texel_fetches,misses,miss_percent,visits,loads,rows_decoded,bytes_decoded,excess,millis";
+const HEAD: &str = "strategy,policy,size_pages,texel_fetches,misses,miss_percent,visits,loads,rows_decoded,bytes_decoded,excess,millis,\
+                    decode_millis,bytes_read";
+
+/// What a chart shows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Value {
+    /// Misses, percent of texel fetches
+    Misses,
+    /// (loads − Belady's) / (LRU's − Belady's): 0 is perfect, 1 is LRU; sizes where LRU is perfect are left out
+    Excess,
+    /// Decoded, MB
+    Decoded,
+    /// Time of all requests through a real cache, ms: of tables with --on-server or --data-dir
+    Time,
+}
+
+impl Value {
+    // Its column, a factor, and the axis.
+    fn column(self) -> (&'static str, f64, &'static str) {
+        match self {
+            Self::Misses => ("miss_percent", 1.0, "misses, % of texel fetches"),
+            Self::Excess => ("excess", 1.0, "(misses - Belady's) / (LRU's - Belady's)"),
+            Self::Decoded => ("bytes_decoded", 1e-6, "decoded, MB"),
+            Self::Time => ("millis", 1.0, "time of all requests, ms"),
+        }
+    }
+}
 
 /// Replays and prints.
-pub fn replay(arguments: &Arguments, context: &Context) -> anyhow::Result<()> {
+pub async fn replay(arguments: &Arguments, context: &Context) -> anyhow::Result<()> {
     let whole = read_trace(&arguments.trace)?;
     let trace = whole.only(arguments.part).ok_or_else(|| {
         let names: Vec<_> = whole.versions.iter().map(|v| format!("{} of {}x{}", v.dataset, v.shape.width, v.shape.height)).collect();
@@ -102,6 +140,9 @@ pub fn replay(arguments: &Arguments, context: &Context) -> anyhow::Result<()> {
     let mut rows = rows(arguments, &trace);
     if let Some(folder) = &arguments.data_dir {
         measure(folder, &trace, &mut rows)?;
+    }
+    if arguments.on_server {
+        on_server::measure(context, &trace, &arguments.sizes, &mut rows).await?;
     }
     if let Some(out) = &arguments.out {
         write_atomically(out, csv(&rows).as_bytes(), Existing::from_force(arguments.force))?;
@@ -141,8 +182,11 @@ fn measure(folder: &Path, trace: &Trace, rows: &mut [Row]) -> anyhow::Result<()>
         let strategy = row.strategy.parse().expect("a row has the name of a strategy");
         let decoded_bytes = u64::from(row.size_pages) * part.shape.resident_bytes() as u64;
         let options = CacheOptions { strategy, decoded_policy: policy, ..CacheOptions::decoded(decoded_bytes) };
-        let (_, nanos) = laboratory::replay(trace, std::slice::from_ref(&version), options)?;
+        let replayed = laboratory::replay(trace, std::slice::from_ref(&version), options, &|| false)?;
+        let (counted, nanos) = replayed.expect("nobody stops it");
         row.millis = Some(1e-6 * nanos as f64);
+        row.decode_millis = Some(1e-6 * (counted.decoded.read_nanos + counted.decoded.decode_nanos) as f64);
+        row.bytes_read = Some(counted.decoded.bytes_read);
     }
     Ok(())
 }
@@ -161,6 +205,8 @@ fn row(outcome: &Outcome, size_pages: u32) -> Row {
         bytes_decoded: outcome.bytes_decoded,
         excess: outcome.excess,
         millis: None,
+        decode_millis: None,
+        bytes_read: None,
     }
 }
 
@@ -168,9 +214,10 @@ fn csv(rows: &[Row]) -> String {
     let mut text = format!("{HEAD}\n");
     for r in rows {
         let Row { strategy, policy, size_pages, texel_fetches, misses, miss_percent, visits, loads, rows_decoded, bytes_decoded, .. } = r;
-        let [excess, millis] = [r.excess, r.millis].map(|number| number.map(|n| n.to_string()).unwrap_or_default());
+        let measured = [r.excess, r.millis, r.decode_millis, r.bytes_read.map(|bytes| bytes as f64)];
+        let [excess, millis, decode, read] = measured.map(|number| number.map(|n| n.to_string()).unwrap_or_default());
         let counts = format!("{texel_fetches},{misses},{miss_percent},{visits},{loads},{rows_decoded},{bytes_decoded}");
-        writeln!(text, "{strategy},{policy},{size_pages},{counts},{excess},{millis}").expect("a string takes every line");
+        writeln!(text, "{strategy},{policy},{size_pages},{counts},{excess},{millis},{decode},{read}").expect("a string takes every line");
     }
     text
 }
@@ -197,10 +244,12 @@ fn text(rows: &[Row]) -> String {
 /// Draws and says where.
 pub fn report(arguments: &ReportArguments, context: &Context) -> anyhow::Result<()> {
     let text = std::fs::read_to_string(&arguments.table).with_context(|| format!("cannot read {}", arguments.table.display()))?;
-    let points = points(&text, arguments.strategy).map_err(|e| Failure::Usage(format!("{}: {e}", arguments.table.display())))?;
-    let title = format!("Misses of recorded requests, strategy {}", arguments.strategy);
+    let (column, factor, y_label) = arguments.value.column();
+    let points =
+        points(&text, arguments.strategy, column, factor).map_err(|e| Failure::Usage(format!("{}: {e}", arguments.table.display())))?;
+    let title = format!("Recorded requests, strategy {}", arguments.strategy);
     let lines = points.into_iter().map(|(name, points)| Line { name, points }).collect();
-    let chart = svg(&LineChart { title: &title, x_label: "cache size in pages", y_label: "misses, % of texel fetches", lines })?;
+    let chart = svg(&LineChart { title: &title, x_label: "cache size in pages", y_label, lines })?;
     write_atomically(&arguments.out, chart.as_bytes(), Existing::from_force(arguments.force))?;
     context.output.document(&serde_json::json!({"chart": arguments.out}), || arguments.out.display().to_string())?;
     Ok(())
@@ -208,27 +257,30 @@ pub fn report(arguments: &ReportArguments, context: &Context) -> anyhow::Result<
 
 type Points = Vec<(f64, f64)>;
 
-/// For each policy: size and miss rate.
-fn points(csv: &str, strategy: ReadStrategy) -> Result<Vec<(String, Points)>, String> {
+/// For each policy: size and `factor` times the column's value, where there is one.
+fn points(csv: &str, strategy: ReadStrategy, column: &str, factor: f64) -> Result<Vec<(String, Points)>, String> {
     let mut lines = csv.lines();
     if lines.next() != Some(HEAD) {
         return Err("no table of `cache replay`: another first line".into());
     }
+    let at = HEAD.split(',').position(|name| name == column).expect("a chart shows one of the columns");
     let mut points: Vec<(String, Points)> = Vec::new();
     for (number, line) in lines.enumerate() {
         let cells: Vec<&str> = line.split(',').collect();
         let bad = || format!("line {}: {line:?} is no line of the table", number + 2);
-        let [of, policy, size, _, _, percent, ..] = cells[..] else { return Err(bad()) };
-        let (size, percent) = size.parse().ok().zip(percent.parse().ok()).ok_or_else(bad)?;
-        if of == strategy.name() {
-            match points.iter_mut().find(|(name, _)| name == policy) {
-                Some((_, line)) => line.push((size, percent)),
-                None => points.push((policy.into(), vec![(size, percent)])),
-            }
+        let [of, policy, size, ..] = cells[..] else { return Err(bad()) };
+        let (size, value) = (size.parse().map_err(|_| bad())?, *cells.get(at).ok_or_else(bad)?);
+        if of != strategy.name() || value.is_empty() {
+            continue;
+        }
+        let point = (size, factor * value.parse::<f64>().map_err(|_| bad())?);
+        match points.iter_mut().find(|(name, _)| name == policy) {
+            Some((_, line)) => line.push(point),
+            None => points.push((policy.into(), vec![point])),
         }
     }
     match points.is_empty() {
-        true => Err(format!("nothing of strategy {strategy}")),
+        true => Err(format!("no {column} of strategy {strategy}")),
         false => Ok(points),
     }
 }
@@ -240,7 +292,7 @@ mod tests {
     fn row(policy: &'static str, size_pages: u32, miss_percent: f64) -> Row {
         let counts = (1000, 10, 5, 4, 64, 1 << 20);
         let (texel_fetches, misses, visits, loads, rows_decoded, bytes_decoded) = counts;
-        let (strategy, excess, millis) = ("block", None, None);
+        let strategy = "block";
         Row {
             strategy,
             policy,
@@ -252,19 +304,25 @@ mod tests {
             loads,
             rows_decoded,
             bytes_decoded,
-            excess,
-            millis,
+            excess: Some(0.5),
+            millis: None,
+            decode_millis: None,
+            bytes_read: None,
         }
     }
 
     #[test]
     fn a_report_reads_what_replay_wrote() {
         let table = csv(&[row("lru", 2, 20.0), row("belady", 2, 10.0), row("lru", 4, 5.5)]);
-        let read = points(&table, ReadStrategy::Block).unwrap();
-        assert_eq!(read, [("lru".to_string(), vec![(2.0, 20.0), (4.0, 5.5)]), ("belady".to_string(), vec![(2.0, 10.0)])]);
-        assert!(points(&table, ReadStrategy::FullImage).unwrap_err().contains("full_image"));
+        let read = |value: Value| points(&table, ReadStrategy::Block, value.column().0, value.column().1);
+        let misses = read(Value::Misses).unwrap();
+        assert_eq!(misses, [("lru".to_string(), vec![(2.0, 20.0), (4.0, 5.5)]), ("belady".to_string(), vec![(2.0, 10.0)])]);
+        assert_eq!(read(Value::Decoded).unwrap()[1].1, [(2.0, 1e-6 * f64::from(1 << 20))]);
+        assert_eq!(read(Value::Excess).unwrap()[0].1, [(2.0, 0.5), (4.0, 0.5)]);
+        assert!(read(Value::Time).unwrap_err().contains("millis"), "nothing was measured");
+        assert!(points(&table, ReadStrategy::FullImage, "excess", 1.0).unwrap_err().contains("full_image"));
         for broken in ["", "a,b\n1,2", &table.replace("lru,4", "lru,four")] {
-            assert!(points(broken, ReadStrategy::Block).is_err(), "{broken}");
+            assert!(points(broken, ReadStrategy::Block, "misses", 1.0).is_err(), "{broken}");
         }
     }
 }

@@ -3,8 +3,9 @@
 //!
 //! Several slots share a layer, because devices allow few layers; several textures share an atlas, because some devices limit one
 //! texture to a gigabyte. The indirection buffer has a word for each page: its slot's column (bits 0–7) and row (8–15) in its layer,
-//! its layer (16–28) and texture (29–30), or all ones where the page is not resident. Some slots can be set apart for images that never
-//! leave; their words follow those of the pages.
+//! its layer (16–28) and texture (29–30), or all ones where the page is not resident. A second word for each page has a bit for each block
+//! of its rows that is there: a page may come in parts. Some slots can be set apart for images that never leave; their words follow those
+//! of the pages.
 //!
 //! A slot holds levels of its image, each half the size of the one before, in the texture's levels of detail.
 
@@ -26,6 +27,16 @@ pub(crate) const NOT_RESIDENT: u32 = u32::MAX;
 // lavapipe refuses textures above 1 GiB; other devices have no such limit, but larger ones gain nothing.
 const MAX_TEXTURE_BYTES: u64 = 1 << 30;
 
+/// Some of a page's rows, to be brought.
+pub(crate) struct Upload {
+    /// Which page.
+    pub page: u32,
+    /// A bit for each block of [`AtlasShape::block_rows`] rows.
+    pub blocks: u32,
+    /// The whole page and its coarser levels, as many as will be read.
+    pub levels: Vec<Arc<Page>>,
+}
+
 /// The slots and who is in them.
 pub(crate) struct Atlas {
     shape: AtlasShape,
@@ -35,8 +46,8 @@ pub(crate) struct Atlas {
     layers: Vec<u32>,
     slot_of_page: Vec<u32>,
     page_of_slot: Vec<Option<u32>>,
-    // Brought ahead of need, not wanted by a frame yet.
-    is_ahead: Vec<bool>,
+    // Blocks of rows that came ahead of need, while no frame has wanted one of them.
+    ahead: Vec<u32>,
     free: Vec<u32>,
     policy: Box<dyn Policy>,
     words: Vec<u32>,
@@ -55,7 +66,7 @@ impl Atlas {
         let slots_per_edge = shape.slots_per_edge(gpu, budget_bytes);
         let edge = slots_per_edge * shape.page_size;
         let layer_bytes = shape.bytes_of_levels(edge);
-        let wanted = shape.words().div_ceil((slots_per_edge as usize).pow(2).max(1)) as u64;
+        let wanted = (shape.page_count + shape.pinned_slots).div_ceil((slots_per_edge as usize).pow(2).max(1)) as u64;
         let affordable = budget_bytes / layer_bytes;
         let most = (MAX_TEXTURE_BYTES / layer_bytes).min(u64::from(gpu.device().limits().max_texture_array_layers)).min(1 << 13);
         let mut left = wanted.min(affordable).min(most * ATLAS_TEXTURES as u64);
@@ -72,13 +83,14 @@ impl Atlas {
         if slots <= shape.pinned_slots {
             return Err(one_page);
         }
-        let words = vec![NOT_RESIDENT; shape.words()];
+        let mut words = vec![NOT_RESIDENT; shape.words()];
+        words[shape.page_count..2 * shape.page_count].fill(0);
         let bytes = layers.iter().map(|l| u64::from(*l)).sum::<u64>() * layer_bytes + beside;
         gpu.check()?;
         let mut atlas = Self {
             slot_of_page: vec![NOT_RESIDENT; shape.page_count],
             page_of_slot: vec![None; slots],
-            is_ahead: vec![false; slots],
+            ahead: vec![0; slots],
             free: (shape.pinned_slots as u32..slots as u32).rev().collect(),
             policy: policy.make(slots as u64),
             indirection: storage_buffer(gpu, "indirection", &words, wgpu::BufferUsages::COPY_DST),
@@ -93,7 +105,7 @@ impl Atlas {
             bytes,
         };
         for slot in 0..shape.pinned_slots as u32 {
-            atlas.words[shape.page_count + slot as usize] = atlas.word(slot);
+            atlas.words[2 * shape.page_count + slot as usize] = atlas.word(slot);
         }
         gpu.queue().write_buffer(&atlas.indirection, 0, bytemuck::cast_slice(&atlas.words));
         Ok(atlas)
@@ -119,14 +131,19 @@ impl Atlas {
         &self.views
     }
 
-    /// A word for each page, then for each slot set apart.
+    /// A word for each page, its blocks, then a word for each slot set apart.
     pub fn indirection(&self) -> &wgpu::Buffer {
         &self.indirection
     }
 
-    /// Whether `page` can be read.
+    /// Whether `page` has a slot.
     pub fn is_resident(&self, page: u32) -> bool {
         self.slot_of_page[page as usize] != NOT_RESIDENT
+    }
+
+    /// Those of `blocks` of a page that are not there.
+    pub fn missing(&self, page: u32, blocks: u32) -> u32 {
+        blocks & !self.words[self.shape.page_count + page as usize]
     }
 
     /// A frame begins.
@@ -134,18 +151,21 @@ impl Atlas {
         self.policy.begin_frame();
     }
 
-    /// A frame wants `page`: counted, and remembered by the policy where it is there.
-    pub fn look_up(&mut self, page: u32) -> bool {
+    /// A frame wants these blocks of `page`: counted, a miss where one is missing, and remembered by the policy where the page has a slot.
+    pub fn look_up(&mut self, page: u32, blocks: u32) {
         self.stats.look_ups += 1;
+        let is_hit = self.missing(page, blocks) == 0;
+        self.stats.hits += u64::from(is_hit);
+        self.stats.misses += u64::from(!is_hit);
         let slot = self.slot_of_page[page as usize];
-        if slot == NOT_RESIDENT {
-            self.stats.misses += 1;
-            return false;
+        if slot != NOT_RESIDENT {
+            let ahead = &mut self.ahead[slot as usize];
+            if *ahead & blocks != 0 {
+                *ahead = 0;
+                self.stats.prefetch_used += 1;
+            }
+            self.policy.touch(slot);
         }
-        self.stats.hits += 1;
-        self.stats.prefetch_used += u64::from(std::mem::take(&mut self.is_ahead[slot as usize]));
-        self.policy.touch(slot);
-        true
     }
 
     /// Counters since the atlas was made, and what is in it.
@@ -168,30 +188,40 @@ impl Atlas {
     pub fn upload_pinned(&mut self, gpu: &Gpu, images: &[Vec<Arc<Page>>]) -> Result<(), GpuError> {
         assert!(images.len() <= self.shape.pinned_slots, "{} images for {} slots", images.len(), self.shape.pinned_slots);
         let slots: Vec<u32> = (0..images.len() as u32).collect();
+        let all = self.shape.all_blocks();
         for (batch, slots) in images.chunks(self.ring.pages_at_once()).zip(slots.chunks(self.ring.pages_at_once())) {
-            self.send(gpu, &batch.iter().map(Vec::as_slice).collect::<Vec<_>>(), slots)?;
+            self.send(gpu, &batch.iter().map(|levels| (all, levels.as_slice())).collect::<Vec<_>>(), slots)?;
         }
         gpu.check()
     }
 
-    /// Makes `pages` resident, each with as many levels as will be read, in slots that are empty or given up by pages that `keep` does not
-    /// name. Their shape was checked.
-    pub fn upload(&mut self, gpu: &Gpu, pages: &[(u32, Vec<Arc<Page>>)], keep: &dyn Fn(u32) -> bool) -> Result<(), GpuError> {
-        for batch in pages.chunks(self.ring.pages_at_once()) {
-            let places = batch.iter().map(|(number, _)| self.admit(*number, keep)).collect::<Result<Vec<_>, _>>()?;
-            self.send(gpu, &batch.iter().map(|(_, levels)| levels.as_slice()).collect::<Vec<_>>(), &places)?;
+    /// Makes blocks of pages resident, of pages that have no slot in slots that are empty or given up by pages that `keep` does not name.
+    /// Their shape was checked.
+    pub fn upload(&mut self, gpu: &Gpu, uploads: &[Upload], keep: &dyn Fn(u32) -> bool) -> Result<(), GpuError> {
+        for batch in uploads.chunks(self.ring.pages_at_once()) {
+            let places = batch.iter().map(|upload| self.slot_for(upload.page, keep)).collect::<Result<Vec<_>, _>>()?;
+            self.send(gpu, &batch.iter().map(|upload| (upload.blocks, upload.levels.as_slice())).collect::<Vec<_>>(), &places)?;
+            for Upload { page, blocks, levels } in batch {
+                self.words[self.shape.page_count + *page as usize] |= blocks;
+                self.stats.bytes_uploaded += self.shape.bytes_of_blocks(*blocks, levels.len() as u32);
+            }
         }
-        self.stats.uploads += pages.len() as u64;
-        self.stats.bytes_uploaded += pages.len() as u64 * self.shape.page_bytes();
+        self.stats.uploads += uploads.len() as u64;
         gpu.queue().write_buffer(&self.indirection, 0, bytemuck::cast_slice(&self.words));
         gpu.check()
     }
 
-    /// These, just uploaded, came ahead of need.
-    pub fn note_ahead(&mut self, pages: impl Iterator<Item = u32>) {
-        for page in pages {
-            self.stats.prefetched += 1;
-            self.is_ahead[self.slot_of_page[page as usize] as usize] = true;
+    /// This one, just made, came ahead of need.
+    pub fn note_ahead(&mut self, upload: &Upload) {
+        let ahead = &mut self.ahead[self.slot_of_page[upload.page as usize] as usize];
+        self.stats.prefetched += u64::from(*ahead == 0);
+        *ahead |= upload.blocks;
+    }
+
+    fn slot_for(&mut self, page: u32, keep: &dyn Fn(u32) -> bool) -> Result<u32, GpuError> {
+        match self.slot_of_page[page as usize] {
+            NOT_RESIDENT => self.admit(page, keep),
+            slot => Ok(slot),
         }
     }
 
@@ -219,9 +249,10 @@ impl Atlas {
             if !keep(page) {
                 self.slot_of_page[page as usize] = NOT_RESIDENT;
                 self.words[page as usize] = NOT_RESIDENT;
+                self.words[self.shape.page_count + page as usize] = 0;
                 self.page_of_slot[slot as usize] = None;
                 self.stats.evictions += 1;
-                self.stats.prefetch_wasted += u64::from(std::mem::take(&mut self.is_ahead[slot as usize]));
+                self.stats.prefetch_wasted += u64::from(std::mem::take(&mut self.ahead[slot as usize]) != 0);
                 break Some(slot);
             }
             kept.push((slot, PageKey(u64::from(page))));
@@ -232,30 +263,33 @@ impl Atlas {
         victim
     }
 
-    fn send(&mut self, gpu: &Gpu, batch: &[&[Arc<Page>]], slots: &[u32]) -> Result<(), GpuError> {
+    // Blocks of rows of images, each with its levels, into these slots.
+    fn send(&mut self, gpu: &Gpu, batch: &[(u32, &[Arc<Page>])], slots: &[u32]) -> Result<(), GpuError> {
         let shape = self.shape;
         let origins: Vec<_> = slots.iter().map(|slot| self.place(*slot)).collect();
         let level_offset = |level: u32| (0..level).map(|finer| shape.staged_level_bytes(finer)).sum::<u64>();
         let fill = |k: usize, mut place: wgpu::WriteOnly<'_, [u8]>| {
-            for (level, image) in (0u32..).zip(batch[k]) {
+            let (blocks, levels) = batch[k];
+            for (level, image) in (0u32..).zip(levels) {
                 let row_bytes = ((shape.page_size >> level) * shape.texel_bytes()) as usize;
-                for (row, texels) in image.bytes().chunks_exact(row_bytes).enumerate() {
+                for row in shape.runs(blocks, level).into_iter().flatten().map(|row| row as usize) {
                     let start = level_offset(level) as usize + row * shape.staged_stride(level) as usize;
-                    place.slice(start..start + row_bytes).copy_from_slice(texels);
+                    place.slice(start..start + row_bytes).copy_from_slice(&image.bytes()[row * row_bytes..(row + 1) * row_bytes]);
                 }
             }
         };
         let textures = &self.textures;
         let copy = |encoder: &mut wgpu::CommandEncoder, buffer: &wgpu::Buffer, k: usize, offset: u64| {
             let (texture, layer, column, row) = origins[k];
-            for level in 0..batch[k].len() as u32 {
-                let edge = shape.page_size >> level;
-                let offset = offset + level_offset(level);
-                let layout = wgpu::TexelCopyBufferLayout { offset, bytes_per_row: Some(shape.staged_stride(level)), rows_per_image: None };
-                let origin = wgpu::Origin3d { x: column * edge, y: row * edge, z: layer };
+            let (blocks, levels) = batch[k];
+            for (level, rows) in (0..levels.len() as u32).flat_map(|level| shape.runs(blocks, level).into_iter().map(move |r| (level, r))) {
+                let (edge, stride) = (shape.page_size >> level, shape.staged_stride(level));
+                let offset = offset + level_offset(level) + u64::from(rows.start) * u64::from(stride);
+                let layout = wgpu::TexelCopyBufferLayout { offset, bytes_per_row: Some(stride), rows_per_image: None };
+                let origin = wgpu::Origin3d { x: column * edge, y: row * edge + rows.start, z: layer };
                 let aspect = wgpu::TextureAspect::All;
                 let target = wgpu::TexelCopyTextureInfo { texture: &textures[texture], mip_level: level, origin, aspect };
-                let extent = wgpu::Extent3d { width: edge, height: edge, depth_or_array_layers: 1 };
+                let extent = wgpu::Extent3d { width: edge, height: rows.end - rows.start, depth_or_array_layers: 1 };
                 encoder.copy_buffer_to_texture(wgpu::TexelCopyBufferInfo { buffer, layout }, target, extent);
             }
         };

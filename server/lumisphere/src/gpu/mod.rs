@@ -15,7 +15,7 @@ mod readback;
 mod ring;
 mod stats;
 
-pub(crate) use atlas::{Atlas, AtlasShape, conform};
+pub(crate) use atlas::{Atlas, AtlasShape, Upload, conform};
 pub use device::Gpu;
 #[cfg(test)]
 pub(crate) use device::test_gpu;

@@ -8,9 +8,9 @@ pub struct GpuCacheStats {
     pub look_ups: u64,
     /// Of these, on the device.
     pub hits: u64,
-    /// Not there.
+    /// Not there, or not all rows of them that were wanted.
     pub misses: u64,
-    /// Pages copied to the device, ahead of need or for a frame.
+    /// Pages copied to the device, whole or some rows of them, ahead of need or for a frame.
     pub uploads: u64,
     /// Of these, ahead of need: `prefetched = prefetch_used + prefetch_wasted` + those that still wait for their frame.
     pub prefetched: u64,
@@ -18,13 +18,13 @@ pub struct GpuCacheStats {
     pub prefetch_used: u64,
     /// Of those ahead of need, given up before a frame wanted them.
     pub prefetch_wasted: u64,
-    /// Copied to the device.
+    /// Texels copied to the device.
     pub bytes_uploaded: u64,
     /// Pages given up: for others, for a smaller budget, with their dataset.
     pub evictions: u64,
     /// On the device now.
     pub resident_pages: u64,
-    /// Their texels.
+    /// Their slots.
     pub resident_bytes: u64,
     /// Everything held on the device now: geometry, slots whether used or not, coarse level, upload ring, targets of a frame.
     pub device_bytes: u64,

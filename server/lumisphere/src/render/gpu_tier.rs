@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-use super::{CPU_KERNELS, Entry, Kernels, RenderError, Representation};
+use super::{CPU_KERNELS, Entry, Kernels, RenderError, Representation, UploadUnit};
 use crate::gpu::{Gpu, GpuCacheStats, GpuError};
 use crate::representations::GpuKernel;
 use crate::textures::PolicyKind;
@@ -42,6 +42,11 @@ impl GpuTier {
     pub fn set_policy(&mut self, policy: PolicyKind) {
         self.policy = policy;
         self.kernels.iter_mut().for_each(|(_, kernel)| kernel.set_policy(policy));
+    }
+
+    /// Of the datasets that are here.
+    pub fn set_upload_unit(&mut self, unit: UploadUnit) {
+        self.kernels.iter_mut().for_each(|(_, kernel)| kernel.set_upload_unit(unit));
     }
 
     /// How many datasets found too little room.

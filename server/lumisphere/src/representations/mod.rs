@@ -174,6 +174,9 @@ pub trait GpuKernel: Send {
     /// Which pages leave when others need their place, from now on.
     fn set_policy(&mut self, kind: PolicyKind);
 
+    /// How pages come from now on; forgets those that are there.
+    fn set_upload_unit(&mut self, unit: UploadUnit);
+
     /// Takes at most `budget_bytes` from now on; forgets its pages where they have to be laid out anew. Where geometry alone takes more, the
     /// next frame fails.
     fn set_budget(&mut self, budget_bytes: u64);
@@ -183,6 +186,17 @@ pub trait GpuKernel: Send {
 
     /// Since it was made; peak and budget are the caller's to know.
     fn stats(&self) -> GpuCacheStats;
+}
+
+/// What comes to the device together.
+#[cfg(feature = "gpu")]
+#[doc(hidden)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum UploadUnit {
+    /// Blocks of 16 rows (of pages taller than 512, a 32nd): those that a frame wants, or whole pages where few are missing.
+    Rows,
+    /// Pages, for the bench that measures what the other saves.
+    Pages,
 }
 
 /// What the GPU did for a frame.

@@ -121,13 +121,21 @@ pub fn simulate(trace: &Trace, setting: Setting) -> Outcome {
 }
 
 /// The trace through a real cache, with texels of column 0; the cache's counters and the nanoseconds that it took, on this thread alone.
-/// `versions` are the trace's, in its order.
-pub fn replay(trace: &Trace, versions: &[Arc<DatasetVersion>], options: CacheOptions) -> Result<(CacheSnapshot, u64), StoreError> {
+/// `versions` are the trace's, in its order. None once someone `is_unwanted`, which is asked now and then.
+pub fn replay(
+    trace: &Trace,
+    versions: &[Arc<DatasetVersion>],
+    options: CacheOptions,
+    is_unwanted: &dyn Fn() -> bool,
+) -> Result<Option<(CacheSnapshot, u64)>, StoreError> {
     let cache = Cache::new(options);
     let started = Instant::now();
     let mut readers: Vec<_> = versions.iter().map(|version| cache.reader(version)).collect();
     let missing = |version: u32| StoreError::NotFound { what: format!("version {version} of the trace") };
-    for event in &trace.events {
+    for (number, event) in trace.events.iter().enumerate() {
+        if number % EVENTS_BETWEEN_LOOKS == 0 && is_unwanted() {
+            return Ok(None);
+        }
         match *event {
             TraceEvent::Frame => {
                 readers = versions.iter().map(|version| cache.reader(version)).collect();
@@ -147,8 +155,11 @@ pub fn replay(trace: &Trace, versions: &[Arc<DatasetVersion>], options: CacheOpt
     }
     drop(readers);
     let nanos = started.elapsed().as_nanos() as u64;
-    Ok((cache.snapshot(), nanos))
+    Ok(Some((cache.snapshot(), nanos)))
 }
+
+// Of a replay, some milliseconds.
+const EVENTS_BETWEEN_LOOKS: usize = 1 << 12;
 
 /// What is cached as one: a page, or a block of one. Version, page, block + 1.
 type Unit = (u32, u32, u32);

@@ -15,6 +15,8 @@ const FORMAT: u16 = 1;
 const TRUNCATED: u16 = 1;
 /// Longest file that is read.
 pub const MAX_TRACE_BYTES: usize = 1 << 30;
+/// Most events that are read: 20 bytes each in memory.
+pub const MAX_TRACE_EVENTS: u64 = 1 << 24;
 
 /// A dataset version whose pages a trace asks for.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -145,6 +147,9 @@ impl Trace {
         // An event has at least one byte, so a lying count reserves nothing.
         if count > rest.0.len() as u64 {
             return Err(InvalidTrace("fewer events than it says"));
+        }
+        if count > MAX_TRACE_EVENTS {
+            return Err(InvalidTrace("more events than a trace may have"));
         }
         let mut page = 0;
         let events = (0..count).map(|_| rest.event(&versions, &mut page)).collect::<Result<Vec<_>, _>>()?;

@@ -8,10 +8,11 @@ use lumisphere::representations::{Lobe, PixelOrder, Recording, RequestTrace, Set
 use lumisphere::textures::Trace;
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
-use tonic::{Request, Response, Status};
+use tonic::{Request, Response, Status, Streaming};
 
 use super::{Answers, Api, App, blocking};
 use crate::errors::{ApiError, Reason};
+use crate::replay::{Outcomes, Replay};
 use crate::wire::cache::{CacheChange, cache_change, interval, recording, traffic_time};
 use crate::wire::camera::camera;
 use crate::wire::proto::{self, cache_server::Cache};
@@ -105,6 +106,41 @@ impl Cache for Api {
         });
         Ok(Response::new(Box::pin(ReceiverStream::new(answers))))
     }
+
+    type ReplayTraceStream = Answers<proto::ReplayOutcome>;
+
+    async fn replay_trace(
+        &self,
+        request: Request<Streaming<proto::ReplayTraceRequest>>,
+    ) -> Result<Response<Self::ReplayTraceStream>, Status> {
+        self.0.accepting()?;
+        let app = self.0.clone();
+        let busy = |_| ApiError::new(Reason::ReplayBusy, "another replay is under way; try again when it has ended");
+        let place = app.replays.clone().try_acquire_owned().map_err(busy)?;
+        let (told, answers) = mpsc::channel(2);
+        tokio::spawn(async move {
+            let outcome = tokio::select! {
+                outcome = replayed(&app, request.into_inner(), told.clone()) => outcome,
+                () = app.stopping.cancelled() => Err(ApiError::new(Reason::ShuttingDown, "the server is stopping")),
+            };
+            drop(place);
+            if let Err(error) = outcome {
+                let _ = told.send(Err(error.into())).await;
+            }
+        });
+        Ok(Response::new(Box::pin(ReceiverStream::new(answers))))
+    }
+}
+
+async fn replayed(app: &Arc<App>, messages: Streaming<proto::ReplayTraceRequest>, told: Outcomes) -> Result<(), ApiError> {
+    let replay = Replay::received(messages).await?;
+    let (app, most_bytes) = (app.clone(), app.config.cache.decoded_bytes);
+    blocking(move || {
+        let (dataset, version) = replay.dataset();
+        let version = app.catalog.store().open_version(dataset, Some(version))?;
+        replay.run(&version, most_bytes, &told, || told.is_closed() || app.stopping.is_cancelled())
+    })
+    .await
 }
 
 /// All or nothing: what can fail comes first.

@@ -11,6 +11,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
+use tokio::sync::Semaphore;
 use tokio_stream::Stream;
 use tokio_util::sync::CancellationToken;
 use tonic::Status;
@@ -49,6 +50,8 @@ pub struct App {
     pub gpu_baseline: Mutex<Option<GpuTier>>,
     /// Cancelled once the server stops.
     pub stopping: CancellationToken,
+    /// A place for the one replay under way.
+    pub replays: Arc<Semaphore>,
     /// When the server started.
     pub started: Instant,
     /// Frames of `RenderFrame`.

@@ -75,7 +75,7 @@ fn budget(bytes: Option<u64>, field: &str) -> Result<Option<u64>, ApiError> {
     }
 }
 
-fn policy(value: i32, field: &str) -> Result<Option<PolicyKind>, ApiError> {
+pub(super) fn policy(value: i32, field: &str) -> Result<Option<PolicyKind>, ApiError> {
     use proto::CachePolicy as P;
     match P::try_from(value) {
         Ok(P::Unspecified) => Ok(None),
@@ -84,7 +84,7 @@ fn policy(value: i32, field: &str) -> Result<Option<PolicyKind>, ApiError> {
     }
 }
 
-fn read_strategy(value: i32, field: &str) -> Result<Option<ReadStrategy>, ApiError> {
+pub(super) fn read_strategy(value: i32, field: &str) -> Result<Option<ReadStrategy>, ApiError> {
     use proto::ReadStrategy as S;
     match S::try_from(value) {
         Ok(S::Unspecified) => Ok(None),
@@ -93,7 +93,7 @@ fn read_strategy(value: i32, field: &str) -> Result<Option<ReadStrategy>, ApiErr
     }
 }
 
-fn policy_message(kind: PolicyKind) -> proto::CachePolicy {
+pub(super) fn policy_message(kind: PolicyKind) -> proto::CachePolicy {
     match kind {
         PolicyKind::Lru => proto::CachePolicy::Lru,
         PolicyKind::Clock => proto::CachePolicy::Clock,
@@ -103,7 +103,7 @@ fn policy_message(kind: PolicyKind) -> proto::CachePolicy {
     }
 }
 
-fn strategy_message(strategy: ReadStrategy) -> proto::ReadStrategy {
+pub(super) fn strategy_message(strategy: ReadStrategy) -> proto::ReadStrategy {
     match strategy {
         ReadStrategy::OnDemand => proto::ReadStrategy::OnDemand,
         ReadStrategy::OnDemandRestart => proto::ReadStrategy::OnDemandRestart,
@@ -215,7 +215,7 @@ pub fn dataset_counts(d: &proto::DatasetCacheStats) -> [u64; 10] {
     ]
 }
 
-fn texel_stats(now: &CacheStats, before: &CacheStats) -> proto::TexelStats {
+pub(super) fn texel_stats(now: &CacheStats, before: &CacheStats) -> proto::TexelStats {
     let since = |get: fn(&CacheStats) -> u64| get(now).saturating_sub(get(before));
     proto::TexelStats {
         look_ups: since(|s| s.look_ups),

@@ -1,4 +1,6 @@
-//! Sizes of an atlas: of its slots, its layers, and its pages in the upload ring.
+//! Sizes of an atlas: of its slots, its layers, its pages in the upload ring, and the blocks of rows that pages come in.
+
+use std::ops::Range;
 
 use super::super::Gpu;
 use super::super::ring::UploadRing;
@@ -20,6 +22,8 @@ pub(crate) struct AtlasShape {
     pub levels: u32,
     /// Slots set apart.
     pub pinned_slots: usize,
+    /// Rows of level 0 that come together: a power of two, at least a row of every level that a page has, at least a 32nd of a page.
+    pub block_rows: u32,
 }
 
 impl AtlasShape {
@@ -37,8 +41,38 @@ impl AtlasShape {
         UploadRing::bytes_for(self.staged_bytes()) + 4 * self.words() as u64
     }
 
+    /// Blocks of rows in a page: 1 to 32, the last perhaps of fewer rows.
+    pub fn blocks(self) -> u32 {
+        self.page_size.div_ceil(self.block_rows)
+    }
+
+    /// A bit for each block of a page.
+    pub fn all_blocks(self) -> u32 {
+        u32::MAX >> (32 - self.blocks())
+    }
+
+    /// Texels of these blocks in the first `levels` levels.
+    pub fn bytes_of_blocks(self, blocks: u32, levels: u32) -> u64 {
+        let rows = |level| self.runs(blocks, level).into_iter().map(|rows| u64::from(rows.end - rows.start)).sum::<u64>();
+        (0..levels).map(|level| rows(level) * u64::from(self.page_size >> level) * u64::from(self.texel_bytes())).sum()
+    }
+
+    // The blocks' rows in a level, neighbours together.
+    pub(super) fn runs(self, blocks: u32, level: u32) -> Vec<Range<u32>> {
+        let mut runs: Vec<Range<u32>> = Vec::new();
+        for block in (0..self.blocks()).filter(|block| blocks >> block & 1 == 1) {
+            let [start, end] = [block, block + 1].map(|b| (b * self.block_rows).min(self.page_size) >> level);
+            match runs.last_mut() {
+                Some(last) if last.end == start => last.end = end,
+                _ => runs.push(start..end),
+            }
+        }
+        runs
+    }
+
+    // Of the indirection.
     pub(super) fn words(self) -> usize {
-        self.page_count + self.pinned_slots
+        2 * self.page_count + self.pinned_slots
     }
 
     // Of a square of `edge` texels and its levels.
@@ -70,9 +104,38 @@ impl AtlasShape {
     pub(super) fn slots_per_edge(self, gpu: &Gpu, budget_bytes: u64) -> u32 {
         let edge = LAYER_EDGE_TEXELS.max(self.page_size).min(gpu.device().limits().max_texture_dimension_2d);
         let page_bytes = self.page_bytes();
-        let all_pages = (self.words() as f64).sqrt().ceil() as u32;
+        let all_pages = ((self.page_count + self.pinned_slots) as f64).sqrt().ceil() as u32;
         // A tenth of the budget a layer wastes less than a tenth of it by rounding.
         let in_budget = ((budget_bytes / page_bytes) as f64 / 10.0).sqrt().ceil() as u32;
         (edge / self.page_size).min(256).min(all_pages).min(in_budget)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_row_of_every_level_lies_in_one_block() {
+        for (page_size, levels, block_rows) in [(128, 3, 16), (24, 2, 16), (1024, 6, 32), (16, 1, 16), (8, 1, 16), (512, 1, 16)] {
+            let shape = AtlasShape { page_count: 1, page_size, pixel: PixelFormat::F16, levels, pinned_slots: 0, block_rows };
+            let all = shape.all_blocks();
+            assert_eq!(all.count_ones(), page_size.div_ceil(block_rows));
+            for level in 0..levels {
+                assert_eq!(shape.runs(all, level).first(), Some(&(0..page_size >> level)), "{page_size}, level {level}");
+                let apart: Vec<u32> = (0..shape.blocks()).flat_map(|block| shape.runs(1 << block, level)).flatten().collect();
+                assert_eq!(apart, (0..page_size >> level).collect::<Vec<_>>(), "{page_size}, level {level}");
+            }
+            let parts: u64 = (0..shape.blocks()).map(|block| shape.bytes_of_blocks(1 << block, levels)).sum();
+            assert_eq!((parts, shape.bytes_of_blocks(all, levels)), (shape.page_bytes(), shape.page_bytes()));
+        }
+    }
+
+    #[test]
+    fn blocks_that_are_neighbours_come_in_one_run() {
+        let shape = AtlasShape { page_count: 1, page_size: 128, pixel: PixelFormat::F16, levels: 2, pinned_slots: 0, block_rows: 16 };
+        assert_eq!(shape.runs(0b1000_0110, 0), [16..48, 112..128]);
+        assert_eq!(shape.runs(0b1000_0110, 1), [8..24, 56..64]);
+        assert_eq!(shape.bytes_of_blocks(0b11, 2), 8 * (32 * 128 + 16 * 64));
     }
 }

@@ -15,7 +15,7 @@ use crate::gpu::{Atlas, AtlasShape, Gpu, GpuCacheStats, GpuError, ReadBack, Shad
 use crate::radiometry::brdf::BrdfUniform;
 use crate::representations::g_buffer::{BAND_BYTES_PER_PIXEL, Band, OUTPUT_WORDS, ProxyGeometry, Rasterizer, band_entries};
 use crate::representations::page_source::CountingSource;
-use crate::representations::{FrameRequest, GpuFrameStats, GpuKernel, Pixels, RenderError};
+use crate::representations::{FrameRequest, GpuFrameStats, GpuKernel, Pixels, RenderError, UploadUnit};
 use crate::textures::{Page, PageId, PixelFormat, PolicyKind};
 
 /// All of `kernel.wgsl`'s source.
@@ -50,11 +50,14 @@ pub(crate) struct ShadingUniform {
     pub end_pixel: u32,
     pub pixel_scale: f32,
     pub directions: u32,
-    pub padding: u32,
+    pub block_shift: u32,
 }
 
 // A band has at most this many pixels: 32 MiB on the device with everything that grows with it.
 const MAX_BAND_PIXELS: u32 = 1 << 19;
+// A page's rows come in blocks of so many, as they are stored, or in as many blocks as a word has bits.
+const BLOCK_ROWS: u32 = 16;
+const MOST_BLOCKS: u32 = 32;
 // With the copy of the output that is read back.
 const BYTES_PER_PIXEL: u64 = BAND_BYTES_PER_PIXEL + 4 * OUTPUT_WORDS;
 const BAND_BYTES: u64 = MAX_BAND_PIXELS as u64 * BYTES_PER_PIXEL;
@@ -65,6 +68,7 @@ pub(crate) struct Kernel {
     field: Arc<OffsetSurfaceLightField>,
     budget_bytes: u64,
     policy: PolicyKind,
+    upload_unit: UploadUnit,
     rasterizer: Rasterizer,
     shader: Shader,
     shading: wgpu::Buffer,
@@ -98,6 +102,13 @@ struct BoundAtlas {
     resources: wgpu::BindGroup,
 }
 
+impl BoundAtlas {
+    // Of these blocks of a page, with the levels that it holds.
+    fn bytes_of(&self, blocks: u32) -> u64 {
+        self.shape.bytes_of_blocks(blocks, self.coarse.levels_before())
+    }
+}
+
 /// What a band of one size needs.
 struct BoundBand {
     band: Band,
@@ -124,7 +135,8 @@ impl Kernel {
         let positions: Vec<[f32; 4]> = field.sample_points.iter().map(|p| p.position.extend(0.0).into()).collect();
         // On little-endian machines, the only ones there are graphics drivers for, four u16 are the two words that WGSL unpacks.
         let maps: Vec<[u32; 2]> = field.sample_maps.indices.iter().map(|i| [pair(i[0], i[1]), pair(i[2], i[3])]).collect();
-        let touched_words = vec![0u32; field.face_count()];
+        let touched_words =
+            vec![0u32; field.face_count() * MOST_BLOCKS.min(field.parameters.face_size_texels.div_ceil(BLOCK_ROWS)) as usize];
         let kernel = Self {
             rasterizer: Rasterizer::new(&gpu, &geometry)?,
             shader: Shader::new(&gpu, "offset surface light field", SOURCE, &[&band_entries(), &entries, &atlas_entries]),
@@ -142,6 +154,7 @@ impl Kernel {
             expected: vec![false; field.face_count()],
             earlier: GpuCacheStats::default(),
             policy: PolicyKind::Lru,
+            upload_unit: UploadUnit::Rows,
             budget_bytes,
             field,
             gpu,
@@ -178,6 +191,12 @@ impl Kernel {
         self.budget_bytes
     }
 
+    fn forget_pages(&mut self) {
+        self.earlier = self.stats().after_all_left();
+        self.atlas = None;
+        self.band = None;
+    }
+
     // Everything but the atlas and what a frame has not needed yet.
     fn fixed_bytes(&self) -> u64 {
         let buffers = [&self.sample_points, &self.sample_maps, &self.touched, self.touched_read_back.buffer()];
@@ -197,7 +216,12 @@ impl Kernel {
         let coarse = Coarse::planned(&self.field, pixel, atlas_budget);
         let coarse_levels = self.field.parameters.coarser_levels + 1 - coarse.level;
         let levels = coarse.levels_before().max(coarse_levels);
-        (coarse, AtlasShape { page_count, page_size, pixel, levels, pinned_slots: coarse.slots })
+        let block_rows = match self.upload_unit {
+            UploadUnit::Pages => page_size.next_power_of_two(),
+            // A row of the coarsest level that a page holds lies within a block.
+            UploadUnit::Rows => BLOCK_ROWS.max(page_size.div_ceil(MOST_BLOCKS).next_power_of_two()).max(1 << (coarse.levels_before() - 1)),
+        };
+        (coarse, AtlasShape { page_count, page_size, pixel, levels, pinned_slots: coarse.slots, block_rows })
     }
 
     // The first page tells what all of them look like.
@@ -281,15 +305,18 @@ impl GpuKernel for Kernel {
         }
     }
 
+    fn set_upload_unit(&mut self, unit: UploadUnit) {
+        self.upload_unit = unit;
+        self.forget_pages();
+    }
+
     fn set_budget(&mut self, budget_bytes: u64) {
         // With what a larger frame would take beside it.
         let fits = |a: &BoundAtlas| self.fixed_bytes() + a.atlas.bytes() <= budget_bytes;
         let keeps = self.atlas.as_ref().is_some_and(|a| a.atlas.capacity() >= a.shape.page_count && fits(a));
         self.budget_bytes = budget_bytes;
         if !keeps {
-            self.earlier = self.stats().after_all_left();
-            self.atlas = None;
-            self.band = None;
+            self.forget_pages();
         }
     }
 

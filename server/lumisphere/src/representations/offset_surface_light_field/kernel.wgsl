@@ -21,7 +21,8 @@ struct Shading {
     pixel_scale: f32,
     // Of GLOSSY.
     directions: u32,
-    padding: u32,
+    // Rows of a page that come together: 2 to this power.
+    block_shift: u32,
 }
 
 @group(1) @binding(0) var<storage, read> object_triangles: array<u32>;
@@ -83,16 +84,31 @@ fn provenance_of(answer: u32, sample: u32) -> u32 {
     return (answer << 30u) | sample;
 }
 
-// Of a level: coarse ones are in slots of their own, 4ˡ faces to a slot; finer ones in their face's. Leaves word of a page that was wanted.
+// Which of its page's blocks of rows has a row of a level.
+fn block_of(row: u32, level: u32) -> u32 {
+    return (row << level) >> shading.block_shift;
+}
+
+fn is_there(face: u32, block: u32) -> bool {
+    return ((indirection[shading.face_count + face] >> block) & 1u) == 1u;
+}
+
+// Of a level: coarse ones are in slots of their own, 4ˡ faces to a slot; finer ones in their face's. Leaves word of rows that were wanted.
+// Rows that are not there have any value, but for CORRECTED, where they would mislead the search for others, zero.
 fn cube_texel(cube: u32, texel: CubeTexel, level: u32) -> vec4<f32> {
     let face = 6u * cube + texel.face;
     let first = shading.coarse_level;
     let is_coarse = level >= first;
     let place = vec2(face & ((1u << first) - 1u), (face >> first) & ((1u << first) - 1u));
     let origin = select(vec2(0u), place * (shading.face_size >> first), is_coarse);
-    let word = indirection[select(face, shading.face_count + (face >> (2u * first)), is_coarse)];
+    let word = indirection[select(face, 2u * shading.face_count + (face >> (2u * first)), is_coarse)];
     if !is_coarse {
-        atomicStore(&touched[face], shading.stamp);
+        let blocks = ((shading.face_size - 1u) >> shading.block_shift) + 1u;
+        let block = block_of(texel.row, level);
+        atomicStore(&touched[face * blocks + block], shading.stamp);
+        if BLEND == CORRECTED && !is_there(face, block) {
+            return vec4(0.0);
+        }
     }
     return slot_texel(word, origin, texel.column, texel.row, select(level, level - first, is_coarse));
 }
@@ -135,7 +151,7 @@ fn is_resident(cube: u32, direction: vec3<f32>, level: u32) -> bool {
     var resident = true;
     for (var number = 0u; number < 4u; number++) {
         let at = corner(position, shading.face_size >> level, number);
-        resident &= !at.texel.exists || indirection[6u * cube + at.texel.face] != NOT_RESIDENT;
+        resident &= !at.texel.exists || is_there(6u * cube + at.texel.face, block_of(at.texel.row, level));
     }
     return resident || level >= shading.coarse_level;
 }

@@ -49,7 +49,8 @@ fn what_the_laboratory_counts_is_what_the_cache_does() {
                     let capacity_bytes = pages * SHAPE.resident_bytes() as u64;
                     let simulated = simulate(&trace, Setting { strategy, codec, order: Order::Policy(policy), capacity_bytes });
                     let options = CacheOptions { strategy, decoded_policy: policy, ..CacheOptions::decoded(capacity_bytes) };
-                    let (real, nanos) = replay(&trace, &version, options).unwrap();
+                    let (real, nanos) = replay(&trace, &version, options, &|| false).unwrap().unwrap();
+                    assert!(replay(&trace, &version, options, &|| true).unwrap().is_none());
                     let got = (real.decoded.texel_fetches, real.decoded.texel_misses, real.decoded.rows_decoded);
                     let expected = (simulated.texel_fetches, simulated.misses, simulated.rows_decoded);
                     assert_eq!(got, expected, "{codec}, {strategy}, {policy}, {pages} pages");

@@ -10,7 +10,7 @@ use super::super::coarse::with_levels;
 use super::frame::{Fidelity, MOST_DIRECTIONS_AT_ONCE, new_encoder};
 use super::{Kernel, MAX_BAND_PIXELS, gloss};
 use crate::geometry::{Camera, Intrinsics};
-use crate::gpu::conform;
+use crate::gpu::{Upload, conform};
 use crate::representations::{FrameRequest, RenderError, Settings as AnySettings};
 use crate::textures::{Page, PageId};
 
@@ -34,29 +34,36 @@ impl Kernel {
         gpu.queue().submit([encoder.finish()]);
         let wanted = self.wanted_pages(&gpu)?;
         self.expected.fill(false);
-        wanted.iter().for_each(|page| self.expected[*page as usize] = true);
+        wanted.iter().for_each(|rows| self.expected[rows.page as usize] = true);
         let bound = self.atlas.as_ref().expect("looked at above");
-        let affordable = (upload_bytes / bound.shape.page_bytes()) as usize;
-        let missing = wanted.into_iter().filter(|page| !bound.atlas.is_resident(*page));
-        Ok(missing.take(affordable.min(self.slots_ahead())).map(PageId).collect())
+        // They come whole: what moves on wants other rows soon.
+        let affordable = (upload_bytes / bound.bytes_of(bound.shape.all_blocks())) as usize;
+        let (missing, mut room) = (wanted.into_iter().filter(|rows| bound.atlas.missing(rows.page, rows.blocks) != 0), self.slots_ahead());
+        let fits = missing.map(|rows| rows.page).filter(|page| bound.atlas.is_resident(*page) || take_one(&mut room));
+        Ok(fits.take(affordable).map(PageId).collect())
     }
 
     /// Uploads `pages`, as far as neither what the last frame showed nor what the last look ahead expects has to leave for them; how many.
     pub(super) fn take_ahead(&mut self, pages: &[(PageId, Arc<Page>)]) -> Result<usize, RenderError> {
-        let room = self.slots_ahead();
+        let mut room = self.slots_ahead();
         let Some(bound) = &mut self.atlas else { return Ok(0) };
         let (field, atlas) = (&self.field, &mut bound.atlas);
         let (shape, levels) = (bound.shape, bound.coarse.levels_before());
-        let missing = |page: &PageId| (page.0 as usize) < field.face_count() && !atlas.is_resident(page.0);
-        let fresh: Vec<&(PageId, Arc<Page>)> = pages.iter().filter(|(page, _)| missing(page)).take(room).collect();
-        let prepared = fresh.into_par_iter().map(|(page, image)| {
-            field.check_page(page.0, image.shape())?;
-            Ok((page.0, with_levels(conform(image.clone(), shape)?, levels)?))
+        let mut fresh: Vec<(u32, u32, &Arc<Page>)> = Vec::new();
+        for (page, image) in pages.iter().filter(|(page, _)| (page.0 as usize) < field.face_count()) {
+            let blocks = atlas.missing(page.0, shape.all_blocks());
+            if blocks != 0 && (atlas.is_resident(page.0) || take_one(&mut room)) {
+                fresh.push((page.0, blocks, image));
+            }
+        }
+        let prepared = fresh.into_par_iter().map(|(page, blocks, image)| {
+            field.check_page(page, image.shape())?;
+            Ok(Upload { page, blocks, levels: with_levels(conform(image.clone(), shape)?, levels)? })
         });
-        let prepared: Vec<(u32, Vec<Arc<Page>>)> = prepared.collect::<Result<_, RenderError>>()?;
+        let prepared: Vec<Upload> = prepared.collect::<Result<_, RenderError>>()?;
         let (shown, expected) = (&self.last_wanted, &self.expected);
         atlas.upload(&self.gpu, &prepared, &|page| shown[page as usize] || expected[page as usize])?;
-        atlas.note_ahead(prepared.iter().map(|(page, _)| *page));
+        prepared.iter().for_each(|upload| atlas.note_ahead(upload));
         Ok(prepared.len())
     }
 
@@ -67,6 +74,12 @@ impl Kernel {
         let kept = (0..bound.shape.page_count as u32).filter(|page| is_kept(*page) && bound.atlas.is_resident(*page));
         bound.atlas.capacity() - kept.count()
     }
+}
+
+fn take_one(room: &mut usize) -> bool {
+    let is_left = *room > 0;
+    *room = room.saturating_sub(1);
+    is_left
 }
 
 // The least at which a frame fits a band, in one submission.

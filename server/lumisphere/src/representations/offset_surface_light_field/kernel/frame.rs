@@ -2,12 +2,12 @@
 //!
 //! A frame is drawn in bands of rows, so that memory on the device does not grow with it. For each band the object is shaded; the
 //! kernel leaves word of every page it wanted, so that what is missing is known before anything is shown. In the steady state that
-//! pass is the frame. Otherwise missing pages are uploaded, as far as the request's allowance goes, and the pixels shaded again: exactly,
+//! pass is the frame. Otherwise missing pages, or, where many are missing, the blocks of rows that were wanted, are uploaded, as far as the request's allowance
+//! goes, and the pixels shaded again: exactly,
 //! or with coarse levels standing in for pages that are still missing; such a frame is not final. Where a band wants more pages
 //! than there are slots, its pixels are shaded in ranges that do not.
 
 use std::ops::Range;
-use std::sync::Arc;
 use std::time::Instant;
 
 use bytemuck::Pod;
@@ -15,14 +15,16 @@ use rayon::prelude::*;
 
 use super::super::coarse::with_levels;
 use super::super::{Blend, Settings};
-use super::{Kernel, MAX_BAND_PIXELS, ShadingUniform};
-use crate::gpu::{Gpu, GpuError, conform};
+use super::{BoundAtlas, Kernel, MAX_BAND_PIXELS, ShadingUniform};
+use crate::gpu::{Gpu, GpuError, Upload, conform};
 use crate::representations::page_source::CountingSource;
 use crate::representations::{FrameRequest, GpuFrameStats, Pixels, Provenance, Refine, RenderError, Settings as AnySettings};
-use crate::textures::{Page, PageId};
+use crate::textures::PageId;
 
 // At most this many decoded pages wait for their upload.
 const PAGES_IN_FLIGHT: usize = 256;
+// Few of a frame's pages are this part of them, and less.
+const FEW_OF: u64 = 8;
 // In one submission; a band of single reads has fewer pixels.
 pub(super) const MOST_DIRECTIONS_AT_ONCE: u32 = 1 << 22;
 // Which pages a depth-corrected read wants depends on what others hold: seldom on more than two, one after the other.
@@ -42,6 +44,13 @@ struct FrameInProgress<'a, 'p> {
     depth: Option<Vec<f32>>,
     provenance: Option<Vec<Provenance>>,
     stats: GpuFrameStats,
+}
+
+/// Rows of a page, a bit for each block of them.
+#[derive(Clone, Copy)]
+pub(super) struct PageRows {
+    pub page: u32,
+    pub blocks: u32,
 }
 
 /// Some of a band's pixels, in rows from its top.
@@ -120,7 +129,8 @@ impl Kernel {
             let wanted = self.wanted_pages(&gpu)?;
             self.count_wanted(frame, &wanted, passes == 1);
             let atlas = &self.atlas.as_ref().expect("made before").atlas;
-            let (capacity, missing) = (atlas.capacity(), wanted.iter().copied().filter(|p| !atlas.is_resident(*p)).collect::<Vec<_>>());
+            let missing = wanted.iter().map(|rows| PageRows { blocks: atlas.missing(rows.page, rows.blocks), ..*rows });
+            let (capacity, missing) = (atlas.capacity(), missing.filter(|rows| rows.blocks != 0).collect::<Vec<_>>());
             if missing.is_empty() {
                 continue;
             }
@@ -148,13 +158,13 @@ impl Kernel {
     }
 
     // Look-ups are a band's first ones, and those of pages that it wanted only after it had others.
-    fn count_wanted(&mut self, frame: &mut FrameInProgress<'_, '_>, wanted: &[u32], is_first: bool) {
+    fn count_wanted(&mut self, frame: &mut FrameInProgress<'_, '_>, wanted: &[PageRows], is_first: bool) {
         let atlas = &mut self.atlas.as_mut().expect("made before").atlas;
-        for page in wanted {
+        for PageRows { page, blocks } in wanted {
             let is_new = !std::mem::replace(&mut frame.wanted[*page as usize], true);
             frame.wanted_count += usize::from(is_new);
             if is_first || is_new {
-                atlas.look_up(*page);
+                atlas.look_up(*page, *blocks);
             }
         }
     }
@@ -186,7 +196,7 @@ impl Kernel {
         pixel_scale: u32,
     ) {
         let key = self.pipeline(settings, fidelity == Fidelity::StandIn);
-        let coarse = self.atlas.as_ref().expect("made before").coarse;
+        let (coarse, shape) = self.atlas.as_ref().map(|bound| (bound.coarse, bound.shape)).expect("made before");
         self.stamp = self.stamp.wrapping_add(1).max(1);
         let gloss = super::gloss(settings.component);
         if let Some(gloss) = gloss {
@@ -206,7 +216,7 @@ impl Kernel {
             end_pixel: pixels.end,
             pixel_scale: pixel_scale as f32,
             directions: gloss.map_or(0, |gloss| gloss.directions),
-            padding: 0,
+            block_shift: shape.block_rows.trailing_zeros(),
         };
         self.gpu.queue().write_buffer(&self.shading, 0, bytemuck::bytes_of(&uniform));
         let (band, atlas) = (self.band.as_ref().expect("made before"), self.atlas.as_ref().expect("made before"));
@@ -221,39 +231,42 @@ impl Kernel {
         encoder.copy_buffer_to_buffer(&self.touched, 0, pages, 0, self.touched.size());
     }
 
-    // Waits for the pass; which pages it wanted.
-    pub(super) fn wanted_pages(&self, gpu: &Gpu) -> Result<Vec<u32>, GpuError> {
-        let stamp = self.stamp;
-        self.touched_read_back.request(0..self.touched_read_back.bytes()).finish(gpu, |bytes| {
-            let stamps = bytes.chunks_exact(4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]));
-            stamps.enumerate().filter(|(_, s)| *s == stamp).map(|(page, _)| page as u32).collect()
+    // Waits for the pass; which rows of which pages it wanted.
+    pub(super) fn wanted_pages(&self, gpu: &Gpu) -> Result<Vec<PageRows>, GpuError> {
+        let (stamp, blocks) = (self.stamp, self.atlas.as_ref().map_or(1, |bound| bound.shape.blocks()));
+        let words = 4 * self.field.face_count() as u64 * u64::from(blocks);
+        self.touched_read_back.request(0..words).finish(gpu, |bytes| {
+            let blocks_of = |stamps: &[u8]| {
+                let is_set = stamps.chunks_exact(4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]) == stamp);
+                is_set.enumerate().fold(0, |blocks, (block, set)| blocks | u32::from(set) << block)
+            };
+            let pages = bytes.chunks_exact(4 * blocks as usize).enumerate();
+            pages.map(|(page, stamps)| PageRows { page: page as u32, blocks: blocks_of(stamps) }).filter(|rows| rows.blocks != 0).collect()
         })
     }
 
-    // As many of the missing pages as the frame may still upload; all of them where it is to be whole.
+    // As many of the missing pages as the frame may still upload; all of them where it is to be whole. How many.
     fn bring_allowed(
         &mut self,
         gpu: &Gpu,
         frame: &mut FrameInProgress<'_, '_>,
-        wanted: &[u32],
-        missing: &[u32],
+        wanted: &[PageRows],
+        missing: &[PageRows],
     ) -> Result<usize, RenderError> {
         let begin = Instant::now();
         let bound = self.atlas.as_ref().expect("made before");
-        let page_bytes = bound.shape.page_bytes();
+        let missing = &rows_to_bring(bound, wanted, missing, frame.allowance_bytes);
         let affordable = match &mut frame.allowance_bytes {
             None => missing.len(),
+            // Whatever is allowed at all is enough for a page's, so that refining ends.
             Some(left) => {
-                // Whatever is allowed at all is enough for a page, so that refining ends.
-                let count = missing.len().min(left.div_ceil(page_bytes) as usize);
-                *left = left.saturating_sub(count as u64 * page_bytes);
-                count
+                missing.iter().take_while(|rows| std::mem::replace(left, left.saturating_sub(bound.bytes_of(rows.blocks))) > 0).count()
             }
         };
         // What earlier bands wanted stays, too, while there is room for all: the next frame wants it again.
         let keep_all = frame.wanted_count <= bound.atlas.capacity();
         let mut keep = if keep_all { frame.wanted.clone() } else { vec![false; frame.wanted.len()] };
-        wanted.iter().for_each(|page| keep[*page as usize] = true);
+        wanted.iter().for_each(|rows| keep[rows.page as usize] = true);
         self.bring(gpu, frame.pages, &missing[..affordable], &|page| keep[page as usize])?;
         frame.stats.pages_uploaded += affordable;
         frame.stats.pages_millis += millis_since(begin);
@@ -261,18 +274,25 @@ impl Kernel {
     }
 
     // Fetches and uploads.
-    fn bring(&mut self, gpu: &Gpu, pages: &CountingSource<'_>, missing: &[u32], keep: &dyn Fn(u32) -> bool) -> Result<(), RenderError> {
+    fn bring(
+        &mut self,
+        gpu: &Gpu,
+        pages: &CountingSource<'_>,
+        missing: &[PageRows],
+        keep: &dyn Fn(u32) -> bool,
+    ) -> Result<(), RenderError> {
         let field = &self.field;
         let bound = self.atlas.as_mut().expect("made before");
         let (shape, levels) = (bound.shape, bound.coarse.levels_before());
-        let fetch = |page: &u32| {
-            let fetched = pages.page(PageId(*page))?;
-            field.check_page(*page, fetched.shape())?;
-            Ok((*page, with_levels(conform(fetched, shape)?, levels)?))
+        let fetch = |rows: &PageRows| {
+            let PageRows { page, blocks } = *rows;
+            let fetched = pages.page(PageId(page))?;
+            field.check_page(page, fetched.shape())?;
+            Ok(Upload { page, blocks, levels: with_levels(conform(fetched, shape)?, levels)? })
         };
         // In batches, so that pages in flight do not fill memory: the source's cache may be small.
         for batch in missing.chunks(PAGES_IN_FLIGHT) {
-            let fetched: Vec<(u32, Vec<Arc<Page>>)> = batch.par_iter().map(fetch).collect::<Result<_, RenderError>>()?;
+            let fetched: Vec<Upload> = batch.par_iter().map(fetch).collect::<Result<_, RenderError>>()?;
             bound.atlas.upload(gpu, &fetched, keep)?;
         }
         Ok(())
@@ -297,6 +317,16 @@ impl Kernel {
         frame.stats.read_back_millis += millis_since(begin);
         Ok(())
     }
+}
+
+// The rest of the pages, too, where few are missing and all of it is allowed: the next frames of a viewer who moves want other rows of them,
+// and a page is prepared as a whole. Where much is missing, what is wanted comes first.
+fn rows_to_bring(bound: &BoundAtlas, wanted: &[PageRows], missing: &[PageRows], allowance_bytes: Option<u64>) -> Vec<PageRows> {
+    let all = bound.shape.all_blocks();
+    let whole = missing.iter().map(|rows| PageRows { blocks: bound.atlas.missing(rows.page, all), ..*rows }).collect::<Vec<_>>();
+    let bytes = whole.iter().map(|rows| bound.bytes_of(rows.blocks)).sum::<u64>();
+    let are_few = missing.len() as u64 * FEW_OF <= wanted.len() as u64;
+    if are_few && allowance_bytes.is_none_or(|left| bytes <= left) { whole } else { missing.to_vec() }
 }
 
 // Work of one submission: drivers give up on a device that does not answer for seconds.

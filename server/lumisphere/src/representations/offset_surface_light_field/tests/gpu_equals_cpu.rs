@@ -350,7 +350,7 @@ fn the_uniform_lies_in_memory_as_wgsl_has_it() {
             end_pixel,
             pixel_scale,
             directions,
-            padding
+            block_shift
         }
     );
 }

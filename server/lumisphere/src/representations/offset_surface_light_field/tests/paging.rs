@@ -18,13 +18,13 @@ use crate::render::{Backend, Renderer};
 use crate::representations::offset_surface_light_field::{Blend, Filter, OffsetSurfaceLightField, Settings};
 use crate::representations::{
     CachedPages, CountingSource, FrameRequest, GpuFrameStats, GpuKernel, PageSource, Pixels, Refine, RenderError, Representation,
-    Settings as AnySettings,
+    Settings as AnySettings, UploadUnit,
 };
 use crate::textures::{Cache, CacheOptions, PageId, PolicyKind};
 
 const BUDGET: u64 = 256 << 20;
-// With the three levels that a slot has: 32² and, for the coarse ones, 16² and 8².
-const PAGE_BYTES: u64 = (32 * 32 + 16 * 16 + 8 * 8) * 8;
+// The coarser levels are coarse enough to be always there. It comes in two blocks of 16 rows.
+const PAGE_BYTES: u64 = 32 * 32 * 8;
 // 1206 faces: 9.9 MB.
 const LARGE: World = World { points: 200, ..WORLD };
 
@@ -117,16 +117,22 @@ fn refines_to_the_whole_frame(filter: Filter) {
     (scene.filter, other.filter) = (filter, filter);
     let (whole, _) = other.draw(camera, Refine::Whole).unwrap();
     let cap = Refine::UpTo { upload_bytes: 10 * PAGE_BYTES };
-    let mut last_error = f32::INFINITY;
+    let (mut last_error, mut last_uploaded) = (f32::INFINITY, 0);
     for frame in 1.. {
         let (pixels, stats) = scene.draw(camera, cap).unwrap();
-        assert!(stats.pages_uploaded <= 10 && (pixels.is_final || stats.pages_uploaded == 10), "{stats:?}");
+        // Twice as many where half of each is wanted.
+        assert!(stats.pages_uploaded <= 20 && (pixels.is_final || stats.pages_uploaded >= 10), "{stats:?}");
+        let uploaded = scene.kernel.stats().bytes_uploaded;
+        // Whatever is left of a cap is enough for one page's.
+        let most = 10 * PAGE_BYTES + PAGE_BYTES / 2;
+        assert!(uploaded - last_uploaded <= most && (pixels.is_final || uploaded - last_uploaded >= 10 * PAGE_BYTES), "{uploaded}");
+        last_uploaded = uploaded;
         let error: f32 = pixels.color.iter().zip(&whole.color).map(|(a, b)| (a - b).abs()).sum();
         assert!(error < last_error, "frame {frame}: {error} after {last_error}");
         last_error = error;
         if pixels.is_final {
             assert_eq!(pixels, whole);
-            assert_eq!(frame, whole.pages_needed.div_ceil(10));
+            assert_eq!(frame, uploaded.div_ceil(10 * PAGE_BYTES), "{} pages", whole.pages_needed);
             break;
         }
     }
@@ -155,7 +161,7 @@ fn depth_corrected_frames_are_the_same_whether_their_pages_come_in_rounds_or_are
     let mut refined = corrected().unwrap();
     let cap = Refine::UpTo { upload_bytes: 20 * PAGE_BYTES };
     let frames = (1..).find(|_| refined.draw(camera, cap).unwrap().0.is_final).expect("refining ends");
-    assert!(frames >= warm.pages_needed / 20, "{frames} frames for {} pages", warm.pages_needed);
+    assert!(frames >= refined.kernel.stats().bytes_uploaded / (20 * PAGE_BYTES), "{frames} frames for {} pages", warm.pages_needed);
     assert!(refined.draw(camera, cap).unwrap().0.color == warm.color, "another picture after refining");
 }
 
@@ -259,12 +265,40 @@ fn pages_brought_ahead_find_only_the_room_that_is_left() {
     scene.draw(&cameras[0], Refine::Whole).unwrap();
     let room = scene.kernel.capacity() - shown;
     assert!(room > 0 && room < shown, "{room} slots left");
-    let ahead = scene.look_ahead(&cameras[2], 1000 * PAGE_BYTES);
-    assert!(ahead > 0 && ahead <= room, "{ahead} in {room} slots");
+    let evictions = scene.kernel.stats().evictions;
+    assert!(scene.look_ahead(&cameras[2], 1000 * PAGE_BYTES) > 0);
     assert_eq!(scene.draw(&cameras[0], Refine::Whole).unwrap().1.pages_uploaded, 0);
     // Those have the room now; the next look expects others, for which they leave.
-    assert!(scene.look_ahead(&cameras[3], 1000 * PAGE_BYTES) <= room);
+    assert!(scene.look_ahead(&cameras[3], 1000 * PAGE_BYTES) > 0);
+    let left = scene.kernel.stats().evictions - evictions;
+    assert!(left > 0 && left <= room as u64, "{left} gave up {room} slots");
     assert_eq!(scene.draw(&cameras[0], Refine::Whole).unwrap().1.pages_uploaded, 0);
+}
+
+#[test]
+fn only_rows_that_frames_want_are_uploaded_each_once_and_the_picture_is_that_of_whole_pages() {
+    let cameras = orbit(&WORLD, 24);
+    for (blend, filter) in
+        [(Blend::Distance, Filter::Bilinear), (Blend::Distance, Filter::Footprint), (Blend::Corrected, Filter::Footprint)]
+    {
+        let scene = || {
+            let scene = Scene::in_memory(&WORLD)?;
+            Some(Scene { filter, blend, ..scene })
+        };
+        let (Some(mut rows), Some(mut pages)) = (scene(), scene()) else { return };
+        pages.kernel.set_upload_unit(UploadUnit::Pages);
+        for camera in &cameras[..6] {
+            let (by_rows, by_pages) = (rows.draw(camera, Refine::Whole).unwrap().0, pages.draw(camera, Refine::Whole).unwrap().0);
+            assert!(by_rows == by_pages, "{blend:?}, {filter:?}: another picture");
+            assert_eq!(rows.draw(camera, Refine::Whole).unwrap().1.pages_uploaded, 0);
+        }
+        let (rows, pages) = (rows.kernel.stats(), pages.kernel.stats());
+        assert_eq!((pages.uploads, pages.bytes_uploaded), (pages.resident_pages, pages.resident_pages * PAGE_BYTES));
+        // What the first frame left out came when a later one wanted it.
+        assert_eq!(rows.resident_pages, pages.resident_pages);
+        assert!(rows.uploads > rows.resident_pages, "{rows:?}");
+        assert!(rows.bytes_uploaded < pages.bytes_uploaded, "{rows:?}");
+    }
 }
 
 #[test]
