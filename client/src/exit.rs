@@ -110,6 +110,7 @@ fn as_text(error: &anyhow::Error) -> String {
 
 fn status_text(status: &Status) -> String {
     match reason(status).as_str() {
+        "" if status.code() == Code::Unimplemented => "the server does not know this request: an older version? (UNIMPLEMENTED)".into(),
         "" => format!("{} ({})", status.message(), code_name(status.code())),
         reason => format!("{} ({reason})", status.message()),
     }

@@ -1,4 +1,4 @@
-//! Lines over one axis, a legend, nothing else.
+//! Lines over one axis, a legend beside them, nothing else.
 
 use plotters::coord::Shift;
 use plotters::prelude::*;
@@ -25,7 +25,9 @@ pub struct Line {
     pub points: Vec<(f64, f64)>,
 }
 
-const SIZE_PX: (u32, u32) = (900, 560);
+const SIZE_PX: (u32, u32) = (1060, 560);
+// Right of the plot: there it covers no line.
+const LEGEND_PX: f64 = 200.0;
 
 impl Line {
     fn drawn(&self) -> impl Iterator<Item = (f64, f64)> + Clone + '_ {
@@ -51,7 +53,8 @@ impl Figure for LineChart<'_> {
         let px = |pixels| dots(pixels, scale);
         let letters = (FONT, px(12.0));
         let (x_ticks, y_ticks) = (logarithmic_ticks(&x), logarithmic_ticks(&y));
-        let mut context = ChartBuilder::on(area)
+        let (plot, legend) = area.split_horizontally(dots(f64::from(SIZE_PX.0) - LEGEND_PX, scale));
+        let mut context = ChartBuilder::on(&plot)
             .caption(self.title, (FONT, px(20.0)))
             .margin(px(12.0))
             .x_label_area_size(px(44.0))
@@ -68,19 +71,24 @@ impl Figure for LineChart<'_> {
             .x_label_formatter(&number)
             .y_label_formatter(&number)
             .draw()?;
-        for (line, color) in self.lines.iter().zip(COLORS.iter().cycle()) {
-            let stroke = color.stroke_width(px(2.0) as u32);
-            let series = context.draw_series(LineSeries::new(line.drawn(), stroke).point_size(px(3.0) as u32))?;
-            series.label(&line.name).legend(move |(x, y)| PathElement::new([(x, y), (x + px(18.0), y)], stroke));
+        for (number, line) in self.lines.iter().enumerate() {
+            let stroke = COLORS[number % COLORS.len()].stroke_width(px(2.0) as u32);
+            let points: Vec<(f64, f64)> = line.drawn().collect();
+            // Past the last colour lines are dashed.
+            match number / COLORS.len() {
+                0 => drop(context.draw_series(LineSeries::new(points.iter().copied(), stroke))?),
+                _ => drop(context.draw_series(DashedLineSeries::new(points.iter().copied(), px(6.0) as u32, px(4.0) as u32, stroke))?),
+            }
+            context.draw_series(points.iter().map(|at| Circle::new(*at, px(3.0), stroke)))?;
+            let top = px(40.0 + 20.0 * number as f64);
+            let sample = (0..if number < COLORS.len() { 1 } else { 2 }).map(|dash| (dash, if number < COLORS.len() { 18.0 } else { 7.0 }));
+            for (dash, length) in sample {
+                let left = px(11.0 * f64::from(dash));
+                legend.draw(&PathElement::new([(left, top), (left + px(length), top)], stroke))?;
+            }
+            legend.draw(&Text::new(line.name.clone(), (px(26.0), top - px(6.0)), letters))?;
         }
-        let frame = RGBColor(200, 200, 200);
-        context
-            .configure_series_labels()
-            .label_font(letters)
-            .legend_area_size(px(26.0))
-            .background_style(WHITE.mix(0.85))
-            .border_style(frame)
-            .draw()
+        Ok(())
     }
 }
 
@@ -100,6 +108,22 @@ mod tests {
             assert!(text.contains(part), "no {part} in {text}");
         }
         assert_eq!(text.matches("<circle").count(), 3);
+    }
+
+    #[test]
+    fn every_line_is_told_apart_and_named_beside_the_plot() {
+        let line = |number: usize| Line { name: format!("policy {number}"), points: vec![(1.0, 1.0 + number as f64), (9.0, 2.0)] };
+        let lines: Vec<Line> = (0..COLORS.len() + 1).map(line).collect();
+        let text = svg(&LineChart { lines, ..chart(vec![]) }).unwrap();
+        let names: Vec<&str> = text.lines().filter(|l| l.starts_with("policy ")).collect();
+        assert_eq!(names.len(), COLORS.len() + 1, "{names:?}");
+        // The first colour again, in dashes: more pieces than a line has.
+        let first = |stroke: &&str| stroke.contains("#0072B2");
+        assert!(text.lines().filter(first).count() > 10, "{text}");
+        let right = f64::from(SIZE_PX.0) - LEGEND_PX;
+        let left_of = |l: &&str| l.split("x=\"").nth(1).and_then(|x| x.split('"').next()).and_then(|x| x.parse::<f64>().ok());
+        let places: Vec<f64> = text.split("<text").skip(1).filter(|t| t.contains("policy ")).filter_map(|t| left_of(&t)).collect();
+        assert!(places.len() == names.len() && places.iter().all(|x| *x >= right), "{places:?}");
     }
 
     #[test]
