@@ -22,6 +22,7 @@ pub fn policy_to_wire(policy: PolicyKind) -> wire::CachePolicy {
         PolicyKind::Arc => wire::CachePolicy::Arc,
         PolicyKind::S3Fifo => wire::CachePolicy::S3Fifo,
         PolicyKind::FrameLru => wire::CachePolicy::FrameLru,
+        PolicyKind::Gittins => wire::CachePolicy::Gittins,
     }
 }
 

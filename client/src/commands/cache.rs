@@ -52,7 +52,7 @@ pub struct ConfigureFlags {
     /// Bytes of the graphics adapter's memory
     #[arg(long, value_name = "BYTES")]
     gpu_budget_bytes: Option<u64>,
-    /// Which decoded page leaves first: lru, clock, arc, s3_fifo or frame_lru
+    /// Which decoded page leaves first: lru, clock, arc, s3_fifo, frame_lru or gittins
     #[arg(long, value_name = "POLICY")]
     memory_policy: Option<PolicyKind>,
     /// Which compressed block leaves first

@@ -179,7 +179,7 @@ enum Value {
     List(Vec<String>),
 }
 
-const POLICIES: &[&str] = &["lru", "clock", "arc", "s3_fifo", "frame_lru"];
+const POLICIES: &[&str] = &["lru", "clock", "arc", "s3_fifo", "frame_lru", "gittins"];
 
 const SETTINGS: &[Setting] = &[
     Setting { key: "listen_address", kind: Kind::Address, default: "\"127.0.0.1:7443\"", about: "Address and port of gRPC and gRPC-Web" },
@@ -217,8 +217,8 @@ const SETTINGS: &[Setting] = &[
     Setting {
         key: "memory_cache_policy",
         kind: Kind::Choice(POLICIES),
-        default: "\"lru\"",
-        about: "Which decoded page leaves first: lru, clock, arc, s3_fifo or frame_lru",
+        default: "\"gittins\"",
+        about: "Which decoded page leaves first: gittins, lru, clock, arc, s3_fifo or frame_lru",
     },
     Setting {
         key: "compressed_cache_policy",

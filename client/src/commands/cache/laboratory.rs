@@ -23,7 +23,7 @@ pub struct Arguments {
     /// The trace, as `cache record` wrote it
     #[arg(value_name = "TRACE")]
     trace: PathBuf,
-    /// Policies: lru, clock, arc, s3_fifo, frame_lru; Belady's optimum (1966) is always beside them [default: all]
+    /// Policies: lru, clock, arc, s3_fifo, frame_lru, gittins; Belady's optimum (1966) is always beside them [default: all]
     #[arg(long, value_name = "POLICY", value_delimiter = ',')]
     policies: Vec<PolicyKind>,
     /// Read strategies: on_demand, on_demand_restart, half_threshold, full_image, block [default: all]

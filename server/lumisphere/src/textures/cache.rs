@@ -64,12 +64,12 @@ pub struct CacheOptions {
 }
 
 impl CacheOptions {
-    /// Decoded pages only, least recently used, in blocks where single texels are asked for.
+    /// Decoded pages only, under the default policy, in blocks where single texels are asked for.
     pub fn decoded(decoded_bytes: u64) -> Self {
         Self {
             decoded_bytes,
             compressed_bytes: 0,
-            decoded_policy: PolicyKind::Lru,
+            decoded_policy: PolicyKind::DEFAULT,
             compressed_policy: PolicyKind::Lru,
             strategy: ReadStrategy::Block,
         }

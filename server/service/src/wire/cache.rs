@@ -100,6 +100,7 @@ pub(super) fn policy_message(kind: PolicyKind) -> proto::CachePolicy {
         PolicyKind::Arc => proto::CachePolicy::Arc,
         PolicyKind::S3Fifo => proto::CachePolicy::S3Fifo,
         PolicyKind::FrameLru => proto::CachePolicy::FrameLru,
+        PolicyKind::Gittins => proto::CachePolicy::Gittins,
     }
 }
 

@@ -117,7 +117,7 @@ impl Policy for Arc {
     }
 
     fn insert(&mut self, slot: u32, key: PageKey, weight: u64) {
-        let known = self.once_ghosts.take(key) | self.often_ghosts.take(key);
+        let known = self.once_ghosts.take(key).is_some() | self.often_ghosts.take(key).is_some();
         let list = if known || self.expects_known { List::Often } else { List::Once };
         (self.expects_often, self.expects_known) = (false, false);
         self.link(slot, Entry { key, weight, list });
@@ -140,7 +140,7 @@ impl Policy for Arc {
         let slot = from_once.or(self.often.oldest()).or(self.once.oldest())?;
         let entry = self.unlink(slot);
         let ghosts = if entry.list == List::Once { &mut self.once_ghosts } else { &mut self.often_ghosts };
-        ghosts.push(entry.key, entry.weight);
+        ghosts.push(entry.key, entry.weight, ());
         self.bound_ghosts();
         Some(slot)
     }

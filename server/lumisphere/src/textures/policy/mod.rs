@@ -9,8 +9,10 @@ mod arc;
 mod clock;
 mod frame_lru;
 mod ghosts;
+mod gittins;
 mod lru;
 mod order;
+mod reuse_times;
 mod s3_fifo;
 #[cfg(test)]
 mod tests;
@@ -21,6 +23,7 @@ use std::str::FromStr;
 pub use self::arc::Arc;
 pub use self::clock::Clock;
 pub use self::frame_lru::FrameLru;
+pub use self::gittins::Gittins;
 pub use self::lru::Lru;
 pub use self::s3_fifo::S3Fifo;
 
@@ -59,11 +62,15 @@ pub enum PolicyKind {
     S3Fifo,
     /// [`FrameLru`].
     FrameLru,
+    /// [`Gittins`].
+    Gittins,
 }
 
 impl PolicyKind {
     /// Every one.
-    pub const ALL: [Self; 5] = [Self::Lru, Self::Clock, Self::Arc, Self::S3Fifo, Self::FrameLru];
+    pub const ALL: [Self; 6] = [Self::Lru, Self::Clock, Self::Arc, Self::S3Fifo, Self::FrameLru, Self::Gittins];
+    /// Fewest misses on rendered frames at every size (docs/measurements.md).
+    pub const DEFAULT: Self = Self::Gittins;
 
     /// As written in configuration.
     pub fn name(self) -> &'static str {
@@ -73,6 +80,7 @@ impl PolicyKind {
             Self::Arc => "arc",
             Self::S3Fifo => "s3_fifo",
             Self::FrameLru => "frame_lru",
+            Self::Gittins => "gittins",
         }
     }
 
@@ -84,6 +92,7 @@ impl PolicyKind {
             Self::Arc => Box::new(Arc::new(capacity)),
             Self::S3Fifo => Box::new(S3Fifo::new(capacity)),
             Self::FrameLru => Box::new(FrameLru::new()),
+            Self::Gittins => Box::new(Gittins::new()),
         }
     }
 }
@@ -96,7 +105,7 @@ impl fmt::Display for PolicyKind {
 
 /// No policy has this name.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("no policy {0:?}: expected lru, clock, arc, s3_fifo or frame_lru")]
+#[error("no policy {0:?}: expected lru, clock, arc, s3_fifo, frame_lru or gittins")]
 pub struct UnknownPolicy(pub String);
 
 impl FromStr for PolicyKind {

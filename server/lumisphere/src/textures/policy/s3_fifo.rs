@@ -58,7 +58,7 @@ impl S3Fifo {
             let entry = self.entries[slot as usize];
             self.small_weight -= entry.weight;
             if entry.uses <= 1 {
-                self.ghosts.push(entry.key, entry.weight);
+                self.ghosts.push(entry.key, entry.weight, ());
                 self.ghosts.shrink_to(self.main_capacity());
                 return Some(slot);
             }
@@ -86,7 +86,7 @@ impl Policy for S3Fifo {
         self.ghosts.shrink_to(self.main_capacity());
     }
     fn insert(&mut self, slot: u32, key: PageKey, weight: u64) {
-        let in_main = self.ghosts.take(key);
+        let in_main = self.ghosts.take(key).is_some();
         self.link(slot, Entry { key, weight, uses: 0, in_main });
     }
     #[inline]

@@ -1,5 +1,7 @@
 //! Every policy against a naive model of the same paper: lists of keys, searched from end to end.
 
+mod gittins;
+
 use std::collections::HashMap;
 
 use proptest::prelude::*;
@@ -213,7 +215,8 @@ impl Model for NaiveFrameLru {
 
 fn model(kind: PolicyKind, capacity: usize) -> Box<dyn Model> {
     match kind {
-        PolicyKind::Lru => Box::new(NaiveLru::default()),
+        // Gittins learns for the first time after more visits than are made here: until then it is LRU.
+        PolicyKind::Lru | PolicyKind::Gittins => Box::new(NaiveLru::default()),
         PolicyKind::Clock => Box::new(NaiveClock::default()),
         PolicyKind::Arc => Box::new(NaiveArc::new(capacity)),
         PolicyKind::S3Fifo => Box::new(NaiveS3Fifo { capacity, small: vec![], main: vec![], ghosts: vec![] }),
@@ -230,7 +233,11 @@ struct Pool {
 
 impl Pool {
     fn new(kind: PolicyKind, capacity: usize) -> Self {
-        Self { policy: kind.make(capacity as u64), slot_of: HashMap::new(), key_in: vec![None; capacity] }
+        Self::of(kind.make(capacity as u64), capacity)
+    }
+
+    fn of(policy: Box<dyn Policy>, capacity: usize) -> Self {
+        Self { policy, slot_of: HashMap::new(), key_in: vec![None; capacity] }
     }
 
     fn is_full(&self) -> bool {
