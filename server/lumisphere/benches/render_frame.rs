@@ -106,7 +106,8 @@ fn report_paging(field: &Arc<dyn Representation>, version: &Arc<DatasetVersion>,
                 .render(field, &pages, &request(camera, &settings, Refine::UpTo { upload_bytes }), Some(Backend::Gpu))
                 .expect("a frame");
             not_final += u32::from(!frame.pixels.is_final);
-            let left = cap - frame.stats.gpu.map_or(0, |g| g.pages_uploaded as u64);
+            // A page of which only rows came counts as one: a little less is left than might be.
+            let left = cap.saturating_sub(frame.stats.gpu.map_or(0, |g| g.pages_uploaded as u64));
             if ahead && left > 0 {
                 let pose = camera.pose().extrapolated_from(last.pose()).expect("rotations compose");
                 let next = Camera::new(*camera.intrinsics(), pose).expect("the same intrinsics");
