@@ -168,7 +168,7 @@ fn change(cache: &Cache, thread: u32, step: u32) {
     match (thread, step % 500) {
         (1, 499) => cache.clear(),
         (2, 250) => cache.set_strategy(None, ReadStrategy::ALL[turn % 5]),
-        (3, 100) => cache.set_policy(PolicyKind::ALL[turn % 5]),
+        (3, 100) => cache.set_policy(PolicyKind::ALL[turn % PolicyKind::ALL.len()]),
         (4, 400) => cache.set_budget(page_bytes() * (turn as u64 % 4 + 2)),
         (5, 300) => cache.begin_frame(),
         (6, 200) => cache.set_compressed_budget(1000 * (turn as u64 % 4)),

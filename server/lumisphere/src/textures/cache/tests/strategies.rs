@@ -148,8 +148,8 @@ fn strategy_policy_and_codec_switched_between_frames_change_no_texel() {
     for frame in 0..200u64 {
         cache.begin_frame();
         cache.set_strategy(Some("d"), ReadStrategy::ALL[rng.random_range(0..5usize)]);
-        cache.set_policy(PolicyKind::ALL[rng.random_range(0..5usize)]);
-        cache.set_compressed_policy(PolicyKind::ALL[rng.random_range(0..5usize)]);
+        cache.set_policy(PolicyKind::ALL[rng.random_range(0..PolicyKind::ALL.len())]);
+        cache.set_compressed_policy(PolicyKind::ALL[rng.random_range(0..PolicyKind::ALL.len())]);
         let version = &twelve(Codec::ALL[rng.random_range(0..Codec::ALL.len())]).version;
         let mut reader = cache.reader(version);
         for (page, x, y) in look_ups(frame, 40) {
