@@ -94,8 +94,8 @@ pub enum EvaluateError<E: std::error::Error> {
 /// Renders every setting at every camera through `render`, which gets the setting's place in the plan, compares with the truth, and hands
 /// pictures to `keep`. Each setting's first frame at a camera, which compiles pipelines and brings pages, does not count as time.
 ///
-/// Only pixels count that show the object and whose eight neighbours show the same fold of it: at silhouettes, inner ones too, a box-filtered
-/// truth and a frame that sees one point a pixel differ by definition.
+/// Only pixels count that show the front of the object and whose eight neighbours show the same fold of it: at silhouettes, inner ones too, a
+/// box-filtered truth and a frame that sees one point a pixel differ by definition, and of a surface's back nothing is captured.
 pub fn evaluate<E: std::error::Error>(
     scene: &Scene,
     plan: &Plan,

@@ -62,7 +62,7 @@ pub struct TruthRenderer {
 pub struct ViewTruth {
     images: BTreeMap<Truth, Image>,
     glossy: Vec<(BrdfModel, Image)>,
-    /// Pixels that count: one fold of the object fills them and their eight neighbours.
+    /// Pixels that count: one fold of the object's front fills them and their eight neighbours.
     pub mask: Vec<bool>,
     object: Vec<bool>,
 }
@@ -84,7 +84,8 @@ impl TruthRenderer {
             let ray = camera.pixel_ray(i as u32, j as u32);
             (ray.at(all.distance.planes[0][at]), Vec3::from(all.normal.rgb(at)))
         };
-        let mask = inside_silhouettes(&object, all.radiance.width, &|a, b| smoothly_joined(points(a), points(b)));
+        let fronts = |a: usize, b: usize| all.shows_front[a] && all.shows_front[b];
+        let mask = inside_silhouettes(&object, all.radiance.width, &|a, b| fronts(a, b) && smoothly_joined(points(a), points(b)));
         let mut images = BTreeMap::new();
         for truth in [Truth::Diffuse].iter().chain(wanted) {
             if let Some(appearance) = truth.appearance().filter(|_| !images.contains_key(truth)) {
@@ -197,7 +198,8 @@ mod tests {
                 {"name": "ball", "shape": {"type": "sphere", "center": [0, 0, 0], "radius": 1, "segments": 48}, "material": "grey"}],
             "lights": [{"type": "disc", "center": [2, 3, 2], "normal": [-1, -1, -1], "radius": 0.8, "radiance": [9, 9, 9]}],
             "environment": {"radiance": [0.5, 0.5, 0.5]},
-            "cameras": [{"name": "a", "origin": [0, 1, 5], "target": [0, 0, 0], "vfov_deg": 25, "width": 24, "height": 24}]}"#;
+            "cameras": [{"name": "a", "origin": [0, 1, 5], "target": [0, 0, 0], "vfov_deg": 25, "width": 24, "height": 24},
+                {"name": "below", "origin": [0, -6, 5], "target": [0, 0, 0], "vfov_deg": 25, "width": 24, "height": 24}]}"#;
         let mut files = SceneBundle::default();
         files.insert("scene.json", json.to_vec()).unwrap();
         let scene = load(&files, "scene.json", &LoadOptions::as_written()).unwrap();
@@ -242,6 +244,20 @@ mod tests {
         assert_eq!(count(&holed, &|_, _| true), 0);
         // A fold between the second and the third column: those beside it do not count.
         assert_eq!(count(&full, &|a, b| (a % 5 < 2) == (b % 5 < 2)), 3);
+    }
+
+    #[test]
+    fn pixels_that_show_the_objects_back_do_not_count() {
+        let (scene, above) = ball();
+        let renderer = TruthRenderer::new(&scene, scene.object("floor").unwrap()).unwrap();
+        let trace = TraceSettings { samples_per_pixel: 1, max_bounces: 1, seed: 3 };
+        let counted = |camera| {
+            let view = renderer.view(camera, &[], &trace, &Unattended).unwrap();
+            (view.object.iter().filter(|o| **o).count() > 100, view.mask.iter().filter(|m| **m).count())
+        };
+        let (is_seen, count) = counted(&above);
+        assert!(is_seen && count > 10, "{is_seen}, {count}");
+        assert_eq!(counted(&scene.cameras[1].camera), (true, 0));
     }
 
     #[test]

@@ -34,6 +34,8 @@ pub struct TracedImage {
     pub distance: Image,
     /// X, Y, Z: unit shading normal there, turned toward the camera; zero where nothing is hit.
     pub normal: Image,
+    /// Whether the front of a surface is there, the side that its normals point to; row by row.
+    pub shows_front: Vec<bool>,
     /// Index into `Scene::objects` there, row by row; `u32::MAX` where nothing is hit.
     pub object: Vec<u32>,
     /// R, G, B: variance of `radiance`, as if its samples were independent. They are stratified, so this is an upper estimate;
@@ -54,6 +56,7 @@ struct Pixel {
     variance: Vec3,
     distance: f32,
     normal: Vec3,
+    shows_front: bool,
     object: u32,
 }
 
@@ -185,13 +188,15 @@ fn estimate<'a>(
 }
 
 fn central_hits(paths: &mut PathTracer, rays: impl Iterator<Item = Ray> + Clone) -> Vec<Pixel> {
-    let miss = Pixel { mean: Vec3::ZERO, variance: Vec3::ZERO, distance: f32::INFINITY, normal: Vec3::ZERO, object: u32::MAX };
+    let zero = Vec3::ZERO;
+    let miss = Pixel { mean: zero, variance: zero, distance: f32::INFINITY, normal: zero, shows_front: false, object: u32::MAX };
     let directions: Vec<Vec3> = rays.clone().map(|r| r.direction).collect();
     let mut pixels = vec![miss; directions.len()];
     paths.nearest(rays.map(|r| (r.origin, r.direction)), |pixel, hit| {
         if let Some(point) = hit {
             let (_, normal) = facing(&point, -directions[pixel]);
-            pixels[pixel] = Pixel { distance: point.distance, normal, object: point.triangle.object, ..miss };
+            let shows_front = point.triangle.front.dot(directions[pixel]) < 0.0;
+            pixels[pixel] = Pixel { distance: point.distance, normal, shows_front, object: point.triangle.object, ..miss };
         }
     });
     pixels
@@ -203,13 +208,15 @@ impl TracedImage {
         let object = vec![u32::MAX; width * height];
         let mut distance = planes(1);
         distance.planes[0].fill(f32::INFINITY);
-        Self { radiance: planes(3), distance, normal: planes(3), object, variance: planes(3) }
+        let shows_front = vec![false; width * height];
+        Self { radiance: planes(3), distance, normal: planes(3), shows_front, object, variance: planes(3) }
     }
 
     fn set(&mut self, index: usize, pixel: &Pixel) {
         self.radiance.set_rgb(index, pixel.mean.to_array());
         self.distance.planes[0][index] = pixel.distance;
         self.normal.set_rgb(index, pixel.normal.to_array());
+        self.shows_front[index] = pixel.shows_front;
         self.object[index] = pixel.object;
         self.variance.set_rgb(index, pixel.variance.to_array());
     }

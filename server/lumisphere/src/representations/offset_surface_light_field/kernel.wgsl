@@ -80,6 +80,12 @@ struct BlendWeights {
     answer: u32,
 }
 
+// Number k of four candidates.
+struct OwnSample {
+    k: u32,
+    answer: u32,
+}
+
 fn provenance_of(answer: u32, sample: u32) -> u32 {
     return (answer << 30u) | sample;
 }
@@ -236,28 +242,37 @@ fn short_of_the_horizon(derivative: vec3<f32>, cosine: f32) -> vec3<f32> {
     return select(derivative, derivative * (most / length), length > most);
 }
 
+fn own_sample(at: Sight, candidates: vec4<u32>) -> OwnSample {
+    let x = at.position;
+    let valid = candidates != vec4(NO_SAMPLE);
+    let cosines = cosines_above(x, at.normal, candidates);
+    let within = first_of(valid & (cosines > vec4(COS_HORIZON)));
+    let unseen = OwnSample(select(within, first_of(valid), within == 4u), select(HIT, FILLED, within == 4u));
+    if BLEND != CORRECTED {
+        return unseen;
+    }
+    var seeing = vec4(false);
+    for (var k = 0u; k < 4u; k++) {
+        let lane = vec4(k) == vec4(0u, 1u, 2u, 3u);
+        let candidate = element(candidates, k);
+        if any(lane & valid) && sees(candidate, sample_points[candidate].xyz, x) {
+            seeing |= lane;
+            if component(cosines, k) > COS_HORIZON {
+                return OwnSample(k, HIT);
+            }
+        }
+    }
+    return OwnSample(select(unseen.k, largest(cosines, seeing), any(seeing)), FILLED);
+}
+
 fn reconstruct(at: Sight, across: Sight, down: Sight, candidates: vec4<u32>) -> Shaded {
     let x = at.position;
     let n = at.normal;
-    let valid = candidates != vec4(NO_SAMPLE);
-    let is_within = valid & (cosines_above(x, n, candidates) > vec4(COS_HORIZON));
-    let within = first_of(is_within);
-    let nearest = first_of(valid);
-    if nearest == 4u {
+    if all(candidates == vec4(NO_SAMPLE)) {
         return Shaded(vec3(0.0), PROVENANCE_UNKNOWN);
     }
-    var hit = within;
-    if BLEND == CORRECTED {
-        var seen = vec4(false);
-        for (var k = 0u; k < 4u; k++) {
-            let candidate = element(candidates, k);
-            if any(is_within & (vec4(k) == vec4(0u, 1u, 2u, 3u))) && !any(seen) {
-                seen |= vec4(sees(candidate, sample_points[candidate].xyz, x)) & (vec4(k) == vec4(0u, 1u, 2u, 3u));
-            }
-        }
-        hit = first_of(seen);
-    }
-    let candidate = element(candidates, select(select(hit, within, hit == 4u), nearest, within == 4u));
+    let own = own_sample(at, candidates);
+    let candidate = element(candidates, own.k);
     let p = sample_points[candidate].xyz;
     let distance = length(p - x);
     let per_length = select(0.0, 1.0 / distance, distance > 0.0);
@@ -268,7 +283,7 @@ fn reconstruct(at: Sight, across: Sight, down: Sight, candidates: vec4<u32>) -> 
         short_of_the_horizon(within_the_surface(across) * per_length, cosine),
         short_of_the_horizon(within_the_surface(down) * per_length, cosine),
     );
-    return Shaded(read_cube(candidate, toward_x), provenance_of(select(HIT, FILLED, hit == 4u), candidate));
+    return Shaded(read_cube(candidate, toward_x), provenance_of(own.answer, candidate));
 }
 
 fn mirror_direction(n: vec3<f32>, d: vec3<f32>) -> vec3<f32> {

@@ -127,8 +127,7 @@ pub(super) fn worse(own: Provenance, reflected: Provenance) -> Provenance {
     if (reflected.answer() as u32) > own.answer() as u32 { reflected } else { own }
 }
 
-/// The object's own appearance: `Lᵢ(p; normalize(x − p))`, p the nearest candidate within 65° of n, else the nearest (filled). Depth-corrected,
-/// p must see x, too.
+/// The object's own appearance: `Lᵢ(p; normalize(x − p))`, p the [`own_sample`].
 pub(super) fn reconstruct(
     field: &OffsetSurfaceLightField,
     settings: &Settings,
@@ -138,25 +137,46 @@ pub(super) fn reconstruct(
     cubes: &mut dyn ReadCube,
 ) -> Result<Shaded, RenderError> {
     let (x, n) = (at.position, at.normal);
-    let cos_horizon = RUNTIME_HORIZON_DEG.to_radians().cos();
-    let position = |j: u16| field.sample_points[usize::from(j)].position;
-    let within = |j: &u16| *j != NO_SAMPLE && n.dot(toward(x, position(*j), n)) > cos_horizon;
-    let mut chosen = None;
-    for j in candidates.into_iter().filter(within) {
-        if settings.blend != Blend::Corrected || sees(u32::from(j), position(j), x, cubes)? {
-            chosen = Some((j, Answer::Hit));
-            break;
-        }
-    }
-    let mut filled = candidates.into_iter().filter(within).chain(candidates.into_iter().filter(|j| *j != NO_SAMPLE));
-    let Some((j, answer)) = chosen.or_else(|| Some((filled.next()?, Answer::Filled))) else { return Ok(NOTHING) };
-    let p = position(j);
+    let Some((k, answer)) = own_sample(field, settings, at, candidates, cubes)? else { return Ok(NOTHING) };
+    let j = candidates[k];
+    let p = field.sample_points[usize::from(j)].position;
     let distance = (p - x).length();
     let per_length = if distance > 0.0 { 1.0 / distance } else { 0.0 };
     let up = toward(x, p, n);
     let [across, down] = [0, 1].map(|k| short_of_the_horizon(within_the_surface(&by[k]) * per_length, n.dot(up)));
     let radiance = cubes.read_cube(u32::from(j), &DirectionDifferential { direction: -up, across, down })?;
     Ok(Shaded { radiance, provenance: Provenance::new(answer, u32::from(j)) })
+}
+
+/// Which candidate shows x: the nearest within 65° of n, else (filled) the nearest. Depth-corrected, it must see x, too: the nearest that
+/// does within 65°, else (filled) the highest of all that do, else as without.
+pub(super) fn own_sample(
+    field: &OffsetSurfaceLightField,
+    settings: &Settings,
+    at: &Sight,
+    candidates: [u16; 4],
+    cubes: &mut dyn ReadCube,
+) -> Result<Option<(usize, Answer)>, RenderError> {
+    let (x, n) = (at.position, at.normal);
+    let valid = candidates.map(|j| j != NO_SAMPLE);
+    let Some(nearest) = valid.iter().position(|v| *v) else { return Ok(None) };
+    let cosines = toward_samples(field, candidates, x, n).map(|s| n.dot(s));
+    let cos_horizon = RUNTIME_HORIZON_DEG.to_radians().cos();
+    let within = std::array::from_fn::<_, 4, _>(|k| valid[k] && cosines[k] > cos_horizon).iter().position(|w| *w);
+    if settings.blend != Blend::Corrected {
+        return Ok(Some(within.map_or((nearest, Answer::Filled), |k| (k, Answer::Hit))));
+    }
+    let mut seeing = [false; 4];
+    for k in (0..4).filter(|k| valid[*k]) {
+        let j = candidates[k];
+        seeing[k] = sees(u32::from(j), field.sample_points[usize::from(j)].position, x, cubes)?;
+        if seeing[k] && cosines[k] > cos_horizon {
+            return Ok(Some((k, Answer::Hit)));
+        }
+    }
+    let unseen = within.unwrap_or(nearest);
+    let first = seeing.iter().position(|s| *s);
+    Ok(Some((first.map_or(unseen, |first| largest(cosines, seeing, first)), Answer::Filled)))
 }
 
 // The derivative of the surface's point, no longer than the surface is like its tangent plane: beyond it, p sees past the object.

@@ -4,7 +4,8 @@ use std::sync::Arc;
 
 use glam::Vec3;
 
-use super::super::shade::mirror_direction;
+use super::super::corrected::InverseDistances;
+use super::super::shade::{ReadCube, Sight, mirror_direction, own_sample};
 use super::fixture::{MemoryPages, WORLD, World};
 use super::{BLENDS, frame_of, mirror, reconstruction};
 use crate::directions::FACES;
@@ -12,7 +13,7 @@ use crate::representations::offset_surface_light_field::{Blend, OffsetSurfaceLig
 use crate::representations::{Answer, PixelOrder, Provenance, Recording, RenderError, Representation, Settings as AnySettings};
 use crate::textures::{Page, PixelFormat};
 
-const NEAR: World = World { points: 120, quads: 32, pixel: PixelFormat::F32, room: 2.0, ..WORLD };
+pub(super) const NEAR: World = World { points: 120, quads: 32, pixel: PixelFormat::F32, room: 2.0, ..WORLD };
 const ORIGIN: Vec3 = Vec3::new(0.5, 0.8, 1.8);
 
 // Colour and provenance of each pixel.
@@ -61,7 +62,7 @@ fn the_mirror_image_is_right_however_near_the_walls_are() {
 }
 
 // Sample points for which `lies` see something glaring, `distance` away, everywhere.
-fn with_liars(lies: impl Fn(usize) -> bool, distance: f32) -> (OffsetSurfaceLightField, MemoryPages) {
+pub(super) fn with_liars(lies: impl Fn(usize) -> bool, distance: f32) -> (OffsetSurfaceLightField, MemoryPages) {
     let (field, mut pages) = NEAR.build();
     for cube in (0..NEAR.points).filter(|cube| lies(*cube)) {
         for page in &mut pages.0[FACES * cube..FACES * (cube + 1)] {
@@ -108,6 +109,55 @@ fn where_no_sample_point_knows_the_reads_are_uncorrected_and_say_so() {
             }
         }
         assert!(filled > 500, "{filled} pixels");
+    }
+}
+
+// Sees a point where it is, in the cubes that are `honest`, and a wall halfway to it in the others.
+struct Told<'a> {
+    field: &'a OffsetSurfaceLightField,
+    honest: u16,
+}
+
+impl ReadCube for Told<'_> {
+    fn read_level(&mut self, _cube: u32, _direction: Vec3, _level: u32) -> Result<Vec3, RenderError> {
+        unreachable!("only distances are asked for")
+    }
+
+    fn inverse_distances(&mut self, cube: u32, offset: Vec3) -> Result<InverseDistances, RenderError> {
+        let distance = if self.honest >> cube & 1 == 1 { offset.length() } else { 0.5 * offset.length() };
+        Ok(InverseDistances::of([(distance, 0.25); 4]))
+    }
+
+    fn field(&self) -> &OffsetSurfaceLightField {
+        self.field
+    }
+}
+
+/// Whoever sees the surface's point goes before whoever does not, however low; of those the nearest above the horizon, else the highest.
+#[test]
+fn a_sample_point_below_the_horizon_that_sees_the_surface_goes_before_one_that_does_not() {
+    let (mut field, _) = NEAR.build();
+    let angles = [70f32, 20.0, 80.0, 50.0];
+    for (point, angle) in field.sample_points.iter_mut().zip(angles) {
+        point.position = Vec3::new(angle.to_radians().sin(), angle.to_radians().cos(), 0.0);
+    }
+    let at = Sight { position: Vec3::ZERO, normal: Vec3::Y, direction: Vec3::NEG_Y };
+    let candidates = [0, 1, 2, 3];
+    let chosen = |blend, honest| {
+        let settings = Settings { blend, ..reconstruction() };
+        own_sample(&field, &settings, &at, candidates, &mut Told { field: &field, honest }).unwrap()
+    };
+    for honest in 0..16u16 {
+        let sees = |k: usize| honest >> k & 1 == 1;
+        let expected = match () {
+            () if sees(1) => (1, Answer::Hit),
+            () if sees(3) => (3, Answer::Hit),
+            () if sees(0) => (0, Answer::Filled),
+            () if sees(2) => (2, Answer::Filled),
+            () => (1, Answer::Filled),
+        };
+        assert_eq!(chosen(Blend::Corrected, honest), Some(expected), "{honest:04b}");
+        assert_eq!(chosen(Blend::Distance, honest), Some((1, Answer::Hit)), "{honest:04b}");
     }
 }
 

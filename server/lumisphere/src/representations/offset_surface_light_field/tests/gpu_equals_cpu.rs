@@ -7,6 +7,7 @@ use glam::Vec3;
 
 use super::super::kernel::{Kernel, ShadingUniform};
 use super::super::reference::{PagedCubes, PagesTouched, Reference};
+use super::corrected::{NEAR, with_liars};
 use super::fixture::{MemoryPages, WORLD, World, starve};
 use super::{BLENDS, EVERYTHING, odd_cameras, settings};
 use crate::geometry::Camera;
@@ -89,6 +90,10 @@ const TIES: usize = (WIDTH * HEIGHT) as usize / 500;
 fn every_setting_agrees(world: &World, kept: usize) {
     let (mut field, pages) = world.build();
     starve(&mut field, kept);
+    every_setting_agrees_of(world, (field, pages));
+}
+
+fn every_setting_agrees_of(world: &World, (field, pages): (OffsetSurfaceLightField, MemoryPages)) {
     let Some(mut twins) = Twins::new((field, pages), BUDGET) else { return };
     let camera = world.camera(Vec3::new(1.2, 0.9, 2.4), Vec3::new(0.1, -0.1, 0.0), WIDTH, HEIGHT);
     let filters = [Filter::Bilinear, Filter::Footprint];
@@ -157,6 +162,11 @@ fn glossy_shading_agrees_for_every_model() {
 #[test]
 fn shading_agrees_on_every_setting_in_a_room() {
     every_setting_agrees(&World { room: 2.6, ..WORLD }, 4);
+}
+
+#[test]
+fn shading_agrees_on_every_setting_where_sample_points_see_something_else() {
+    every_setting_agrees_of(&NEAR, with_liars(|cube| cube % 3 != 0, 1e-4));
 }
 
 #[test]
