@@ -49,6 +49,8 @@ pub struct Config {
     pub max_concurrent_jobs: usize,
     /// Threads that jobs share; 0 for one a core.
     pub job_threads: usize,
+    /// Memory that the scene of one job may take while it is traced.
+    pub job_scene_bytes: u64,
     /// Jobs that wait.
     pub max_queued_jobs: usize,
     /// Ended jobs that are remembered.
@@ -266,6 +268,12 @@ const SETTINGS: &[Setting] = &[
         about: "Threads that all jobs share; 0 for one per core",
     },
     Setting {
+        key: "job_scene_bytes",
+        kind: Kind::Count { min: 0, max: 1 << 44 },
+        default: "2147483648",
+        about: "Memory that the scene of one job may take while it is traced",
+    },
+    Setting {
         key: "max_queued_jobs",
         kind: Kind::Count { min: 1, max: 65_536 },
         default: "64",
@@ -414,6 +422,7 @@ impl Config {
             max_sessions: size("max_sessions"),
             max_concurrent_jobs: size("max_concurrent_jobs"),
             job_threads: size("job_threads"),
+            job_scene_bytes: count("job_scene_bytes"),
             max_queued_jobs: size("max_queued_jobs"),
             jobs_kept: size("jobs_kept"),
             max_cameras_per_job: size("max_cameras_per_job"),

@@ -106,6 +106,7 @@ pub fn code_of(reason: Reason) -> Code {
         | Reason::FrameTooLarge
         | Reason::TooManySessions
         | Reason::TraceTooLarge
+        | Reason::SceneTooLarge
         | Reason::DiskFull => Code::ResourceExhausted,
         Reason::JobCancelled => Code::Cancelled,
         Reason::GpuUnavailable | Reason::ShuttingDown => Code::Unavailable,

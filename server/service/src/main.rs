@@ -114,7 +114,8 @@ fn assemble(effective: Effective, runtime: &tokio::runtime::Handle) -> anyhow::R
     let render_thread = queue.ended();
     let frames = Frames::new(queue, metrics.clone());
     let limits = SpecLimits { max_pixels: config.max_pixels_per_frame, max_cameras: config.max_cameras_per_job };
-    let work = Work { catalog: catalog.clone(), frames: frames.clone(), runtime: runtime.clone(), limits };
+    let work =
+        Work { catalog: catalog.clone(), frames: frames.clone(), runtime: runtime.clone(), limits, scene_bytes: config.job_scene_bytes };
     let job_limits = JobLimits {
         concurrent: config.max_concurrent_jobs,
         queued: config.max_queued_jobs,

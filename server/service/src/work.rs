@@ -28,6 +28,8 @@ pub struct Work {
     pub runtime: Handle,
     /// What specifications were held to when they were submitted; the configuration may have changed since.
     pub limits: SpecLimits,
+    /// Memory that the scene of one job may take.
+    pub scene_bytes: u64,
 }
 
 impl JobBody for Work {

@@ -14,6 +14,7 @@ mod distribution;
 mod lanes;
 mod lights;
 mod low_discrepancy;
+mod memory;
 mod packets;
 mod path;
 mod render;
@@ -30,6 +31,7 @@ mod tests;
 
 pub(crate) use bvh::Bvh;
 pub(crate) use low_discrepancy::SampleSequence;
+pub use memory::working_bytes;
 pub use render::{TraceSettings, TracedImage};
 pub use tracer::{Appearance, Hit, TraceError, Tracer};
 pub(crate) use traverse::Stack;

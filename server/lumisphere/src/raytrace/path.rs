@@ -5,6 +5,8 @@
 //! after the other through shading, then their shadow rays in packets, sorted by direction. A path draws its own numbers, so what it
 //! finds does not depend on its neighbours.
 
+use std::sync::Arc;
+
 use glam::Vec3;
 
 use super::bvh::Bvh;
@@ -24,7 +26,7 @@ use crate::radiometry::brdf::BrdfModel;
 pub(super) struct World {
     pub bvh: Bvh,
     pub triangles: Vec<SurfaceTriangle>,
-    pub textures: Vec<TexelGrid>,
+    pub textures: Arc<[TexelGrid]>,
     pub lights: Lights,
     /// Largest absolute coordinate of the geometry.
     pub extent: f32,

@@ -53,7 +53,7 @@ impl Work {
     }
 
     fn fill(&self, spec: &CaptureSpec, staging: &Staging, attempt: &Attempt) -> Result<Publication, ApiError> {
-        let scene = load_scene(&spec.scene, self.catalog.store())?;
+        let scene = load_scene(&spec.scene, self.catalog.store(), self.scene_bytes)?;
         let settings = ConstructSettings {
             object: spec.object.clone(),
             epsilon: spec.epsilon,

@@ -36,7 +36,7 @@ impl Work {
             let message = format!("dataset {} version {} does not say from which scene it was captured", spec.dataset, version.version);
             ApiError::new(Reason::DatasetKindMismatch, message)
         })?;
-        let scene = load_scene(&scene_source(Some(source.clone()), "scene")?, self.catalog.store())?;
+        let scene = load_scene(&scene_source(Some(source.clone()), "scene")?, self.catalog.store(), self.scene_bytes)?;
         let manifest = version.pages.version.manifest();
         let captured: Captured = serde_json::from_value(manifest.parameters.clone()).map_err(ApiError::internal)?;
         let plan = Plan {

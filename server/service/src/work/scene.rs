@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use lumisphere::raytrace::working_bytes;
 use lumisphere::scenes::{
     BUILTIN_SCENE_PATH, DEFAULT_FILE_LIMIT_BYTES, EnvironmentFile, FileError, LoadOptions, Scene, SceneFiles, builtin_files, load,
     normalised,
@@ -34,8 +35,20 @@ fn read_bounded(store: &Store, hash: &ContentHash, path: &str) -> Result<Vec<u8>
     }
 }
 
-/// Reads the scene, with its other environment if there is one.
-pub fn load_scene(source: &SceneSource, store: &Store) -> Result<Scene, ApiError> {
+/// Reads the scene, with its other environment if there is one; not one that would take more than `limit_bytes` while it is traced.
+pub fn load_scene(source: &SceneSource, store: &Store, limit_bytes: u64) -> Result<Scene, ApiError> {
+    let scene = read_scene(source, store)?;
+    let bytes = working_bytes(&scene);
+    if bytes > limit_bytes {
+        let message = format!(
+            "the scene would take about {bytes} bytes of memory while it is traced, at most {limit_bytes} (job_scene_bytes) expected"
+        );
+        return Err(ApiError::new(Reason::SceneTooLarge, message).with("bytes", bytes).with("limit_bytes", limit_bytes));
+    }
+    Ok(scene)
+}
+
+fn read_scene(source: &SceneSource, store: &Store) -> Result<Scene, ApiError> {
     let environment = source.environment.as_ref().map(|e| {
         let bytes = read_bounded(store, &e.content, &e.file_name).map_err(|e| ApiError::new(Reason::SceneInvalid, e.to_string()))?;
         Ok::<_, ApiError>(EnvironmentFile { name: e.file_name.clone(), bytes, scale: e.scale, rotation_deg: e.rotation_deg })
@@ -76,9 +89,14 @@ mod tests {
             made.files.iter().map(|(path, bytes)| (path.clone(), store.put_upload(bytes).unwrap())).collect();
         let bundle =
             |files: Vec<_>| SceneSource { base: SceneBase::Bundle { scene_path: BUILTIN_SCENE_PATH.into(), files }, environment: None };
-        assert!(!load_scene(&bundle(files.clone()), &store).unwrap().objects.is_empty());
+        let loaded = load_scene(&bundle(files.clone()), &store, u64::MAX).unwrap();
+        assert!(!loaded.objects.is_empty());
+        let bytes = working_bytes(&loaded);
+        assert!(load_scene(&bundle(files.clone()), &store, bytes).is_ok());
+        let refused = load_scene(&bundle(files.clone()), &store, bytes - 1).unwrap_err();
+        assert_eq!(refused.reason(), Reason::SceneTooLarge);
         let truncated = store.put_upload(&made.files[BUILTIN_SCENE_PATH][..20]).unwrap();
         let broken = files.iter().map(|(p, h)| (p.clone(), if p == BUILTIN_SCENE_PATH { truncated } else { *h })).collect();
-        assert_eq!(load_scene(&bundle(broken), &store).unwrap_err().reason(), Reason::SceneInvalid);
+        assert_eq!(load_scene(&bundle(broken), &store, u64::MAX).unwrap_err().reason(), Reason::SceneInvalid);
     }
 }

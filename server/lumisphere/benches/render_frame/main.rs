@@ -1,8 +1,11 @@
 //! A 640 × 480 frame of the captured teapot in the gazebo, on the GPU (lavapipe where there is no other) and on the CPU, in milliseconds:
 //! wall clock, the whole process's CPU time a frame (what counts where others use the machine, too), and the GPU's stages.
 //!
-//! `cargo bench -p lumisphere --bench render_frame [-- FACE_SIZE [POINTS]] [gpu | cpu | paging] [bilinear]`, by default 128 texels, 300 points and both
+//! `cargo bench -p lumisphere --bench render_frame [-- FACE_SIZE [POINTS]] [gpu | cpu | paging | equal_error] [bilinear]`, by default 128 texels, 300 points and both
 //! backends; `paging` measures uploads under a cap instead, `bilinear` reads without filtering. The capture (one path a texel: noise costs no time) is kept in `target/render_frame` for the next run.
+//! `equal_error` sets mirror frames beside path-traced ones of the same error instead (a capture of 8 paths a texel, 160 points, unless numbers say otherwise).
+
+mod equal_error;
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -29,8 +32,10 @@ const IDLE_CAP_BYTES: u64 = 16 << 20;
 
 fn main() {
     let mut numbers = std::env::args().skip(1).filter_map(|a| a.parse::<u32>().ok());
-    let (face_size, points) = (numbers.next().unwrap_or(128), numbers.next().unwrap_or(300));
-    let version = captured(face_size, points);
+    let is_equal_error = std::env::args().any(|a| a == "equal_error");
+    let (default_points, paths) = if is_equal_error { (160, 8) } else { (300, 1) };
+    let (face_size, points) = (numbers.next().unwrap_or(128), numbers.next().unwrap_or(default_points));
+    let version = captured(face_size, points, paths);
     let parameters = serde_json::from_value(version.manifest().parameters.clone()).expect("our own parameters");
     let field: OffsetSurfaceLightField =
         from_parts::<PartsError>(parameters, &|name| Ok(version.blob(name).expect("a part"))).expect("our own parts");
@@ -46,6 +51,9 @@ fn main() {
         Renderer::cpu_only()
     });
     println!("adapter: {}", renderer.adapter().unwrap_or("none"));
+    if is_equal_error {
+        return equal_error::report(&field, &pages, &renderer, [0.0, 0.4].map(|turn| orbit_at(center, radius, turn)));
+    }
     let cameras: Vec<Camera> = (0..RUNS).map(|k| orbit(center, radius, k)).collect();
     if std::env::args().any(|a| a == "paging") {
         return report_paging(&field, &version, faces, center, radius);
@@ -273,11 +281,11 @@ fn orbit_at(center: Vec3, radius: f32, turn: f32) -> Camera {
 }
 
 // The teapot's capture, made on the first run.
-fn captured(face_size: u32, points: u32) -> Arc<DatasetVersion> {
+fn captured(face_size: u32, points: u32, samples_per_texel: u32) -> Arc<DatasetVersion> {
     let root = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../target/render_frame");
     std::fs::create_dir_all(&root).expect("a folder under target");
     let (store, _) = Store::open(&root, StoreOptions::local()).expect("a store");
-    let dataset = format!("teapot-levels-{face_size}-{points}");
+    let dataset = format!("teapot-levels-{face_size}-{points}-{samples_per_texel}");
     if let Ok(version) = store.open_version(&dataset, None) {
         return version;
     }
@@ -290,7 +298,7 @@ fn captured(face_size: u32, points: u32) -> Arc<DatasetVersion> {
         face_size_texels: face_size,
         sample_map_size_texels: 256,
         pixel_format: PixelFormat::F16,
-        samples_per_texel: 1,
+        samples_per_texel,
         max_bounces: 1,
         seed: 1,
     };
