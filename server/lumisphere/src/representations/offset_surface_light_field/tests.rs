@@ -9,6 +9,7 @@ mod gpu_equals_cpu;
 #[cfg(feature = "gpu")]
 mod paging;
 mod recording;
+mod stability;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

@@ -34,14 +34,24 @@ pub struct World {
     pub pixel: PixelFormat,
     /// The environment is on a sphere of this radius about the origin; infinite: infinitely far.
     pub room: f32,
+    /// Offset of the sample points, in radii.
+    pub epsilon: f32,
+    /// Radiance of a sun 6° wide in the environment; 0 for none.
+    pub sun: f32,
 }
 
 /// Small enough for tests.
-pub const WORLD: World =
-    World { rotation: Quat::IDENTITY, scale: 1.0, points: 80, face_size: 32, quads: 12, pixel: PixelFormat::F16, room: f32::INFINITY };
-
-/// Offset of the sample points, in radii.
-pub const EPSILON: f32 = 0.1;
+pub const WORLD: World = World {
+    rotation: Quat::IDENTITY,
+    scale: 1.0,
+    points: 80,
+    face_size: 32,
+    quads: 12,
+    pixel: PixelFormat::F16,
+    room: f32::INFINITY,
+    epsilon: 0.1,
+    sun: 0.0,
+};
 
 /// All of a dataset's pages in memory.
 #[derive(Debug)]
@@ -101,11 +111,16 @@ impl World {
     /// The same without the sphere.
     pub fn surroundings(&self, p: Vec3, d: Vec3) -> (Vec3, f32) {
         if self.room.is_infinite() {
-            return (environment_radiance(d), f32::INFINITY);
+            return (self.environment(d), f32::INFINITY);
         }
         let b = p.dot(d);
         let t = (b * b - p.length_squared() + self.room * self.room).sqrt() - b;
-        (environment_radiance((p + t * d) / self.room), t)
+        (self.environment((p + t * d) / self.room), t)
+    }
+
+    fn environment(&self, d: Vec3) -> Vec3 {
+        let sun = if d.dot(Vec3::new(0.48, 0.6, 0.64)) > 3f32.to_radians().cos() { self.sun } else { 0.0 };
+        environment_radiance(d) + sun
     }
 
     /// The light field and its pages.
@@ -114,18 +129,20 @@ impl World {
         let surface = self.sphere();
         let sample_points: Vec<SamplePoint> = (0..self.points)
             .map(|i| fibonacci(i, self.points))
-            .map(|n| SamplePoint { position: place((1.0 + EPSILON) * n), normal: self.rotation * n })
+            .map(|n| SamplePoint { position: place((1.0 + self.epsilon) * n), normal: self.rotation * n })
             .collect();
         // The same points for every rotation and scale: distances are compared on equal terms, whatever the rounding.
         let unturned = Self { rotation: Quat::IDENTITY, scale: 1.0, ..*self };
-        let unturned_points: Vec<SamplePoint> =
-            (0..self.points).map(|i| fibonacci(i, self.points)).map(|n| SamplePoint { position: (1.0 + EPSILON) * n, normal: n }).collect();
+        let unturned_points: Vec<SamplePoint> = (0..self.points)
+            .map(|i| fibonacci(i, self.points))
+            .map(|n| SamplePoint { position: (1.0 + self.epsilon) * n, normal: n })
+            .collect();
         let sample_maps = build_sample_maps(&unturned.sphere(), &unturned_points, 16, &|_, _| true);
         let mut pages = Vec::new();
         let levels = coarser_levels(self.face_size) as usize;
         let mut coarser = vec![Vec::new(); levels];
         for cube in 0..=self.points {
-            let at = if cube < self.points { (1.0 + EPSILON) * fibonacci(cube, self.points) } else { Vec3::ZERO };
+            let at = if cube < self.points { (1.0 + self.epsilon) * fibonacci(cube, self.points) } else { Vec3::ZERO };
             let mut faces: Vec<Page> = (0..FACES).map(|face| self.page(at, cube == self.points, face)).collect();
             pages.extend(faces.iter().cloned().map(Arc::new));
             for level in &mut coarser {
@@ -136,7 +153,7 @@ impl World {
         pages.extend(coarser.into_iter().flatten());
         let parameters = Parameters {
             object: "sphere".into(),
-            epsilon: EPSILON * self.scale,
+            epsilon: self.epsilon * self.scale,
             face_size_texels: self.face_size,
             coarser_levels: levels as u32,
             sample_map_size_texels: 16,
