@@ -8,6 +8,7 @@
 
 mod bits_chunk;
 mod lzw_seq;
+mod stopped;
 mod zstd_chunk;
 mod zstd_seq;
 
@@ -18,6 +19,8 @@ use std::str::FromStr;
 use half::f16;
 use half::slice::HalfFloatSliceExt;
 use xxhash_rust::xxh3::xxh3_64;
+
+pub(super) use stopped::{Stopped, decode_on};
 
 use super::error::StoreError;
 use super::page::{Page, PageShape, PixelFormat, Texels};
@@ -67,6 +70,13 @@ impl Codec {
     /// Whether rows can be had only by unpacking all rows before them.
     pub fn is_sequential(self) -> bool {
         matches!(self, Self::ZstdSeq | Self::LzwSeq)
+    }
+
+    /// Whether a decoder that stopped behind the first `rows` rows of a page takes no more memory than the rows that are missing, for which the cache
+    /// has room.
+    pub(super) fn decoder_fits(self, shape: &PageShape, rows: u32) -> bool {
+        let missing = (shape.height - rows.min(shape.height)) as usize * shape.row_values() * shape.pixel.bytes();
+        self.is_sequential() && Stopped::resident_bytes(self, shape) <= missing
     }
 
     /// Rows that are unpacked together: asking for one row of them gives them all.
@@ -256,12 +266,16 @@ pub(super) fn decode(source: &Source<'_, '_>, rows: Range<u32>) -> Result<Page, 
         Codec::LzwSeq => lzw_seq::unpack(source, &rows, &mut texels)?,
         Codec::BitsChunk => bits_chunk::unpack(source, &rows, &mut texels)?,
     };
+    Ok(page_of(&source.shape, texels).rows(rows.start - first..rows.end - first))
+}
+
+/// As many rows of a page as there are.
+fn page_of(shape: &PageShape, texels: Texels) -> Page {
     let values = match &texels {
         Texels::F32(v) => v.len(),
         Texels::F16(v) => v.len(),
     };
-    let unpacked = Page::new(PageShape { height: (values / source.shape.row_values()) as u32, ..source.shape }, texels);
-    Ok(unpacked.rows(rows.start - first..rows.end - first))
+    Page::new(PageShape { height: (values / shape.row_values()) as u32, ..*shape }, texels)
 }
 
 /// Appends the byte planes of some rows.

@@ -215,18 +215,17 @@ impl Pool {
                 return false;
             }
             *rows = wanted.end;
-            let resumes = self.setting.strategy.resumes(self.setting.codec, had);
-            self.count_decoded(shape, if resumes { had..wanted.end } else { 0..wanted.end });
+            let resumes = self.setting.strategy.resumes(self.setting.codec, &shape, had);
+            self.count_decoded(shape, if resumes { wanted.end - had } else { self.setting.codec.unpacked_rows(&shape, &(0..wanted.end)) });
             return true;
         }
         self.outcome.loads += u64::from(is_new_visit);
-        self.count_decoded(shape, wanted.clone());
+        self.count_decoded(shape, self.setting.codec.unpacked_rows(&shape, &wanted));
         self.insert(unit, self.charge(shape, unit.2 > 0), wanted.end);
         true
     }
 
-    fn count_decoded(&mut self, shape: PageShape, rows: std::ops::Range<u32>) {
-        let rows = self.setting.codec.unpacked_rows(&shape, &rows);
+    fn count_decoded(&mut self, shape: PageShape, rows: u32) {
         self.outcome.rows_decoded += u64::from(rows);
         self.outcome.bytes_decoded += u64::from(rows) * (shape.row_values() * shape.pixel.bytes()) as u64;
     }

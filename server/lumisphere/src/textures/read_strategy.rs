@@ -14,7 +14,8 @@ use super::page::PageShape;
 /// does; so which pages are resident does not depend on the strategy, and misses on demand ≥ half threshold ≥ full image, always.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum ReadStrategy {
-    /// From where decoding stopped to the requested row. A sequential codec has to begin again, and decodes rows it has.
+    /// From where decoding stopped to the requested row. A sequential codec needs its decoder for that, which is kept while it takes no more memory
+    /// than the rows that are still missing will; else it begins again, and decodes rows it has.
     OnDemand,
     /// From the page's start to the requested row, every time: as in the paper.
     OnDemandRestart,
@@ -55,9 +56,10 @@ impl ReadStrategy {
         }
     }
 
-    /// Whether decoding may go on behind the `resident` first rows instead of beginning again.
-    pub(super) fn resumes(self, codec: Codec, resident: u32) -> bool {
-        self != Self::OnDemandRestart && !codec.is_sequential() && resident.is_multiple_of(BLOCK_ROWS)
+    /// Whether decoding may go on behind the `resident` first rows instead of beginning again. With a sequential codec, if its decoder was kept.
+    pub(super) fn resumes(self, codec: Codec, shape: &PageShape, resident: u32) -> bool {
+        let can = if codec.is_sequential() { codec.decoder_fits(shape, resident) } else { resident.is_multiple_of(BLOCK_ROWS) };
+        self != Self::OnDemandRestart && can
     }
 }
 

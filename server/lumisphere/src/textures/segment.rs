@@ -16,7 +16,7 @@ use std::sync::Arc;
 
 use xxhash_rust::xxh3::{Xxh3, xxh3_64};
 
-use super::codec::{self, Block, Codec, EncodedPage, Layout, Source};
+use super::codec::{self, Block, Codec, EncodedPage, Layout, Source, Stopped};
 use super::disk::Disk;
 use super::error::{At, StoreError};
 use super::hash::ContentHash;
@@ -333,6 +333,17 @@ pub(super) fn decode_rows(header: &Header, rows: Range<u32>, bytes: &[u8], first
 pub(super) fn decode_packed<'a>(header: &Header, rows: Range<u32>, packed: &dyn Fn(u32) -> Option<&'a [u8]>) -> Result<Page, BadRecord> {
     let source = Source { codec: header.codec, layout: header.layout, shape: header.shape, table: &header.blocks, packed };
     codec::decode(&source, rows).map_err(|bad| BadRecord { rows: Some(bad.rows), reason: bad.reason })
+}
+
+/// The rows that follow those which a decoder has given, up to `end`.
+pub(super) fn decode_packed_on<'a>(
+    header: &Header,
+    stopped: &mut Stopped,
+    end: u32,
+    packed: &dyn Fn(u32) -> Option<&'a [u8]>,
+) -> Result<Page, BadRecord> {
+    let source = Source { codec: header.codec, layout: header.layout, shape: header.shape, table: &header.blocks, packed };
+    codec::decode_on(&source, stopped, end).map_err(|bad| BadRecord { rows: Some(bad.rows), reason: bad.reason })
 }
 
 /// Bytes of the header of a page with so many blocks.

@@ -9,7 +9,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Instant;
 
-use super::codec::{BLOCK_ROWS, block_rows};
+use super::codec::{BLOCK_ROWS, Stopped, block_rows};
 use super::disk::Disk;
 use super::error::{At, StoreError};
 use super::hash::ContentHash;
@@ -177,6 +177,21 @@ impl DatasetVersion {
         packed: &dyn Fn(u32) -> Option<&'a [u8]>,
     ) -> Result<Page, StoreError> {
         segment::decode_packed(header, rows, packed).map_err(|bad| match self.locate(page) {
+            Ok((_, _, path)) => self.damaged(page, bad, path.into()),
+            Err(error) => error,
+        })
+    }
+
+    /// Checks and decodes the rows that follow those which a decoder has given, up to `end`, from blocks that are at hand.
+    pub(super) fn decode_rows_on<'a>(
+        &self,
+        page: PageId,
+        header: &Header,
+        stopped: &mut Stopped,
+        end: u32,
+        packed: &dyn Fn(u32) -> Option<&'a [u8]>,
+    ) -> Result<Page, StoreError> {
+        segment::decode_packed_on(header, stopped, end, packed).map_err(|bad| match self.locate(page) {
             Ok((_, _, path)) => self.damaged(page, bad, path.into()),
             Err(error) => error,
         })

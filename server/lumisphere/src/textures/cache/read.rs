@@ -2,14 +2,14 @@
 
 use std::cell::RefCell;
 use std::ops::Range;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
 use super::chunk::Chunk;
 use super::compressed::CompressedTier;
 use super::residency::Arriving;
 use super::table::{PageSlots, Part};
-use crate::textures::codec::{BLOCK_ROWS, Block, block_rows};
+use crate::textures::codec::{BLOCK_ROWS, Block, Stopped, block_rows};
 use crate::textures::error::StoreError;
 use crate::textures::page::Page;
 use crate::textures::read_strategy::ReadStrategy;
@@ -56,16 +56,23 @@ impl Miss<'_> {
         let mut cost = ReadCost::default();
         let header = self.header(&mut cost)?;
         let rows = self.rows(&header)?;
-        let resumed = resident.filter(|r| r.rows.start == 0 && rows.start == 0 && self.strategy.resumes(header.codec, r.rows.end));
+        let resumed =
+            resident.filter(|r| r.rows.start == 0 && rows.start == 0 && self.strategy.resumes(header.codec, &header.shape, r.rows.end));
+        let kept = resumed.and_then(Chunk::take_decoder).filter(|decoder| Some(decoder.rows()) == resumed.map(|r| r.rows.end));
+        // Without its decoder a sequential codec has to begin again.
+        let resumed = resumed.filter(|_| kept.is_some() || !header.codec.is_sequential());
         let from = resumed.map_or(rows.start, |resident| resident.rows.end);
-        let decoded = self.decode(&header, from..rows.end, compressed, &mut cost)?;
+        let keeps = self.part == Part::Whole && self.strategy.resumes(header.codec, &header.shape, rows.end);
+        let mut decoder = kept.or_else(|| keeps.then(|| Stopped::at_start(header.codec))?);
+        let decoded = self.decode(&header, from..rows.end, decoder.as_mut(), compressed, &mut cost)?;
         let page = match resumed {
             Some(resident) => resident.page.with_rows_below(&decoded),
             None => decoded,
         };
         // Slots of equal size, as in the paper: part of a page takes the page's place, a block only its own.
         let bytes = if self.part == Part::Whole { header.shape.resident_bytes() } else { page.resident_bytes() };
-        Ok((Arriving { page: Arc::new(page), rows, page_height: header.shape.height, bytes: bytes as u64 }, cost))
+        let decoder = Mutex::new(decoder.filter(|_| keeps));
+        Ok((Arriving { page: Arc::new(page), rows, page_height: header.shape.height, bytes: bytes as u64, decoder }, cost))
     }
 
     /// The usual case of a cache of whole pages: one read for header and texels.
@@ -75,7 +82,7 @@ impl Miss<'_> {
         self.count_redundant(&header, rows.clone(), &mut cost);
         let _ = self.slots.header.set(Arc::new(header));
         let (page_height, bytes) = (rows.end, page.resident_bytes() as u64);
-        Ok((Arriving { page: Arc::new(page), rows, page_height, bytes }, cost))
+        Ok((Arriving { page: Arc::new(page), rows, page_height, bytes, decoder: Mutex::default() }, cost))
     }
 
     fn header(&self, cost: &mut ReadCost) -> Result<Arc<Header>, StoreError> {
@@ -107,8 +114,17 @@ impl Miss<'_> {
         })
     }
 
-    fn decode(&self, header: &Header, rows: Range<u32>, compressed: &CompressedTier, cost: &mut ReadCost) -> Result<Page, StoreError> {
-        let blocks = header.codec.blocks_for(&rows);
+    // With a decoder: the rows that follow those which it has given.
+    fn decode(
+        &self,
+        header: &Header,
+        rows: Range<u32>,
+        decoder: Option<&mut Stopped>,
+        compressed: &CompressedTier,
+        cost: &mut ReadCost,
+    ) -> Result<Page, StoreError> {
+        let blocks = decoder.as_ref().map_or_else(|| header.codec.blocks_for(&rows), |d| d.blocks_up_to(&header.blocks, rows.end));
+        let unpacked = if decoder.is_some() { rows.len() as u32 } else { header.codec.unpacked_rows(&header.shape, &rows) };
         let first = blocks.start;
         let key = |block| self.slots.key(Part::Block(block));
         let is_on = compressed.is_on();
@@ -124,9 +140,11 @@ impl Miss<'_> {
                 let at = (block - first) as usize;
                 held[at].as_deref().or_else(|| packed.get(places[at].clone()))
             };
-            let page = self.version.decode_rows(self.slots.page, header, rows.clone(), &bytes_of)?;
+            let page = match decoder {
+                Some(decoder) => self.version.decode_rows_on(self.slots.page, header, decoder, rows.end, &bytes_of)?,
+                None => self.version.decode_rows(self.slots.page, header, rows.clone(), &bytes_of)?,
+            };
             cost.decode_nanos += read.elapsed().as_nanos() as u64;
-            let unpacked = header.codec.unpacked_rows(&header.shape, &rows);
             cost.rows_decoded += u64::from(unpacked);
             cost.bytes_decoded += u64::from(unpacked) * row_bytes(header);
             let end = rows.end.next_multiple_of(header.codec.step_rows()).min(header.shape.height);

@@ -1,10 +1,11 @@
 //! Who is resident and who leaves: the byte budget and the policy of the decoded tier, under the one lock that only misses take.
 
 use std::ops::Range;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 
 use super::chunk::{Chunk, Ticket, UNKEPT};
 use super::table::{PageSlots, Part};
+use crate::textures::codec::Stopped;
 use crate::textures::page::Page;
 use crate::textures::policy::{Policy, PolicyKind};
 
@@ -16,6 +17,8 @@ pub(super) struct Arriving {
     pub page_height: u32,
     /// Against the budget.
     pub bytes: u64,
+    /// To go on behind the rows; None where it has been handed on.
+    pub decoder: Mutex<Option<Stopped>>,
 }
 
 #[derive(Debug)]
@@ -195,7 +198,8 @@ impl Residency {
 
 impl Arriving {
     fn chunk(&self, ticket: Ticket) -> Chunk {
-        Chunk::new(self.page.clone(), self.rows.clone(), self.page_height, ticket)
+        let decoder = self.decoder.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).take();
+        Chunk::new(self.page.clone(), self.rows.clone(), self.page_height, ticket, decoder)
     }
 
     /// To be handed out without being kept.

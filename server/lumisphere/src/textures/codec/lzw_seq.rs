@@ -56,27 +56,81 @@ fn feed(decoder: &mut Decoder, input: &[u8], out: &mut [u8]) -> (usize, usize) {
     (read, written)
 }
 
-/// Appends exactly the wanted rows; the first of them.
-pub(super) fn unpack(source: &Source<'_, '_>, rows: &Range<u32>, texels: &mut Texels) -> Result<u32, BadBlock> {
+/// A decoder within a page.
+pub(super) struct Running {
+    decoder: Decoder,
+    /// Bytes of the payload that it has read.
+    read: usize,
+}
+
+impl Running {
+    /// Of a decoder: 4096 codes of four bytes, their lengths, and a buffer.
+    pub const BYTES: usize = 32 << 10;
+
+    pub fn new() -> Self {
+        Self { decoder: new_decoder(), read: 0 }
+    }
+
+    pub fn read(&self) -> usize {
+        self.read
+    }
+
+    /// Appends `rows`, of which it has given those before, from `blocks`: that in which it stopped reading and those behind it.
+    pub fn go_on(&mut self, source: &Source<'_, '_>, blocks: Range<u32>, rows: Range<u32>, texels: &mut Texels) -> Result<(), BadBlock> {
+        let mut plain = vec![0; rows.len() * source.shape.row_values() * source.shape.pixel.bytes()];
+        read_on(&mut self.decoder, &mut self.read, source, blocks, rows.start, &mut plain)?;
+        append(&plain, texels);
+        Ok(())
+    }
+}
+
+/// Fills `plain` with the rows from `first_row` on, out of `blocks`, behind the `read` bytes of the payload that the decoder has had.
+fn read_on(
+    decoder: &mut Decoder,
+    read: &mut usize,
+    source: &Source<'_, '_>,
+    blocks: Range<u32>,
+    first_row: u32,
+    plain: &mut [u8],
+) -> Result<(), BadBlock> {
     let shape = &source.shape;
     let row_bytes = shape.row_values() * shape.pixel.bytes();
+    let mut filled = 0;
+    for index in blocks {
+        // It may have read the bytes of these rows before it was asked for them.
+        if !plain.is_empty() && filled == plain.len() {
+            break;
+        }
+        let bytes = source.checked(index)?;
+        let start = source.table[index as usize].offset as usize;
+        let (taken, given) = feed(decoder, &bytes[(*read).saturating_sub(start).min(bytes.len())..], &mut plain[filled..]);
+        *read = (*read).max(start) + taken;
+        filled += given;
+        // Everything up to the block's last row, as far as it is wanted.
+        let rows = block_rows(shape, index).end.saturating_sub(first_row) as usize;
+        if filled < plain.len().min(rows * row_bytes) {
+            return Err(source.bad(index, "not an LZW stream of the right length"));
+        }
+    }
+    Ok(())
+}
+
+fn append(plain: &[u8], texels: &mut Texels) {
+    match texels {
+        Texels::F32(v) => v.extend(plain.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b))),
+        Texels::F16(v) => v.extend(plain.as_chunks::<2>().0.iter().map(|b| f16::from_le_bytes(*b))),
+    }
+}
+
+/// Appends exactly the wanted rows; the first of them.
+pub(super) fn unpack(source: &Source<'_, '_>, rows: &Range<u32>, texels: &mut Texels) -> Result<u32, BadBlock> {
+    let row_bytes = source.shape.row_values() * source.shape.pixel.bytes();
     UNPACKER.with_borrow_mut(|(decoder, plain)| {
         let decoder = decoder.get_or_insert_with(new_decoder);
         decoder.reset();
         plain.resize(rows.end as usize * row_bytes, 0);
-        let mut filled = 0;
-        for index in source.codec.blocks_for(rows) {
-            filled += feed(decoder, source.checked(index)?, &mut plain[filled..]).1;
-            // Everything up to the block's last row, as far as it is wanted.
-            if filled < plain.len().min(block_rows(shape, index).end as usize * row_bytes) {
-                return Err(source.bad(index, "not an LZW stream of the right length"));
-            }
-        }
-        let wanted = &plain[rows.start as usize * row_bytes..];
-        match texels {
-            Texels::F32(v) => v.extend(wanted.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b))),
-            Texels::F16(v) => v.extend(wanted.as_chunks::<2>().0.iter().map(|b| f16::from_le_bytes(*b))),
-        }
+        read_on(decoder, &mut 0, source, source.codec.blocks_for(rows), 0, plain)?;
+        append(&plain[rows.start as usize * row_bytes..], texels);
         Ok(rows.start)
     })
 }

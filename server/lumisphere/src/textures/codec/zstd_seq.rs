@@ -8,7 +8,7 @@ use zstd::stream::raw::{Decoder, InBuffer, Operation, OutBuffer};
 use zstd::stream::write::Encoder;
 
 use super::{BadBlock, EncodedPage, Source, ZSTD_LEVEL, block_count, block_rows, join_planes, reserve_rows, split_rows};
-use crate::textures::page::Texels;
+use crate::textures::page::{PageShape, Texels};
 use crate::textures::planes::Relation;
 
 thread_local! {
@@ -40,30 +40,63 @@ pub(super) fn pack(texels: &Texels, page: &mut EncodedPage) {
     }
 }
 
+/// A decoder within a page.
+pub(super) struct Running(Decoder<'static>);
+
+impl Running {
+    pub fn new() -> Self {
+        Self(Decoder::new().expect("a zstd context fails only without memory"))
+    }
+
+    /// Of its tables and buffers, and of its window: no larger than the page, rounded up, or 512 KiB at this level.
+    pub fn bytes(shape: &PageShape) -> usize {
+        const CONTEXT: usize = 448 << 10;
+        CONTEXT + shape.decoded_bytes().next_power_of_two().min(512 << 10)
+    }
+
+    /// Appends the rows of `blocks`, the next ones.
+    pub fn go_on(&mut self, source: &Source<'_, '_>, blocks: Range<u32>, texels: &mut Texels) -> Result<(), BadBlock> {
+        let first = blocks.start;
+        read_on(&mut self.0, &mut Vec::new(), source, blocks, first, texels)
+    }
+}
+
+/// Decodes `blocks`, which come next, and appends the rows of those from `first` on.
+fn read_on(
+    decoder: &mut Decoder<'_>,
+    planes: &mut Vec<u8>,
+    source: &Source<'_, '_>,
+    blocks: Range<u32>,
+    first: u32,
+    texels: &mut Texels,
+) -> Result<(), BadBlock> {
+    let shape = &source.shape;
+    reserve_rows(shape, block_rows(shape, blocks.end - 1).end - first * super::BLOCK_ROWS, texels);
+    for index in blocks {
+        let bytes = source.checked(index)?;
+        planes.resize(block_rows(shape, index).len() * shape.row_values() * shape.pixel.bytes(), 0);
+        if !fill(decoder, bytes, planes) {
+            return Err(source.bad(index, "not a zstd frame of the right length"));
+        }
+        if index >= first {
+            let mut each = [&[][..]; 4];
+            let each = &mut each[..shape.pixel.bytes()];
+            for (plane, bytes) in each.iter_mut().zip(planes.chunks_exact(planes.len() / shape.pixel.bytes())) {
+                *plane = bytes;
+            }
+            join_planes(shape, each, Relation::None, texels);
+        }
+    }
+    Ok(())
+}
+
 /// Appends the wanted rows and those of their blocks; the first row appended.
 pub(super) fn unpack(source: &Source<'_, '_>, rows: &Range<u32>, texels: &mut Texels) -> Result<u32, BadBlock> {
-    let shape = &source.shape;
-    let needed = source.codec.blocks_for(rows);
     let first = rows.start / super::BLOCK_ROWS;
-    reserve_rows(shape, block_rows(shape, needed.end - 1).end - first * super::BLOCK_ROWS, texels);
     UNPACKER.with_borrow_mut(|(decoder, planes)| {
         let decoder = decoder.get_or_insert_with(|| Decoder::new().expect("a zstd context fails only without memory"));
         decoder.reinit().expect("a context can be reset");
-        for index in needed {
-            let bytes = source.checked(index)?;
-            planes.resize(block_rows(shape, index).len() * shape.row_values() * shape.pixel.bytes(), 0);
-            if !fill(decoder, bytes, planes) {
-                return Err(source.bad(index, "not a zstd frame of the right length"));
-            }
-            if index >= first {
-                let mut each = [&[][..]; 4];
-                let each = &mut each[..shape.pixel.bytes()];
-                for (plane, bytes) in each.iter_mut().zip(planes.chunks_exact(planes.len() / shape.pixel.bytes())) {
-                    *plane = bytes;
-                }
-                join_planes(shape, each, Relation::None, texels);
-            }
-        }
+        read_on(decoder, planes, source, source.codec.blocks_for(rows), first, texels)?;
         Ok(first * super::BLOCK_ROWS)
     })
 }

@@ -204,6 +204,38 @@ fn rows_decoded_again_are_redundant_and_the_others_are_not() {
     }
 }
 
+/// Rows that each visit of a page from top to bottom decodes: a sequential codec goes on where its decoder was kept, which is while it fits into what the
+/// page has yet to take of the budget; restarting it decodes everything above, too.
+#[test]
+fn a_sequential_codec_goes_on_while_its_decoder_fits() {
+    let tall = shape(1024, 300);
+    for codec in [Codec::LzwSeq, Codec::ZstdSeq] {
+        let published = published(codec, &[tall; 2]);
+        let visits = [3, 20, 60, 61, 130, 299];
+        for strategy in [ReadStrategy::OnDemand, ReadStrategy::OnDemandRestart] {
+            let cache = with_strategy(8 << 20, strategy);
+            let (mut had, mut expected, mut resumed) = (0, 0, 0);
+            for y in visits {
+                assert_eq!(cache.reader(&published.version).texel(PageId(1), 7, y).unwrap()[0], number(1, y, 7, 0), "{codec}, row {y}");
+                let end = strategy.rows_wanted(codec, &tall, y).end;
+                if end > had {
+                    let goes_on = had > 0 && strategy == ReadStrategy::OnDemand && codec.decoder_fits(&tall, had);
+                    resumed += u32::from(goes_on);
+                    expected += if goes_on { end - had } else { end };
+                    had = end;
+                }
+            }
+            assert_eq!(cache.stats().rows_decoded, u64::from(expected), "{codec}, {strategy}");
+            assert_eq!(resumed >= 2, strategy == ReadStrategy::OnDemand, "{codec}, {strategy}: {resumed}");
+            // All of it is right, whatever was decoded in which go.
+            let whole = cache.page(&published.version, PageId(1)).unwrap();
+            for (y, x) in (0..300).flat_map(|y| (0..1024).step_by(97).map(move |x| (y, x))) {
+                assert_eq!(whole.texel(x, y)[0], number(1, y, x, 0), "{codec}, {strategy}: row {y}, column {x}");
+            }
+        }
+    }
+}
+
 #[test]
 fn compressed_blocks_in_memory_save_the_disk_and_are_counted() {
     let published = published(Codec::DEFAULT, &[shape(WIDTH, ROWS); 4]);
