@@ -242,7 +242,7 @@ impl Renderer {
         Ok(frame(request, pixels, stats))
     }
 
-    /// Pages that a frame like `request` would miss on the device, at most `upload_bytes` of texels: a small picture of it tells, reading
+    /// Pages that a frame like `request` would miss on the device, at most `upload_bytes` of texels: shading its object tells, reading
     /// nothing. None without a GPU, and for a dataset that has nothing there yet.
     pub fn look_ahead(
         &self,

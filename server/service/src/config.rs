@@ -16,8 +16,6 @@ use clap::{Arg, ArgAction, ArgMatches, Command};
 use lumisphere::textures::{CacheOptions, PolicyKind};
 use thiserror::Error;
 
-use crate::prefetch::Prefetch;
-
 /// Everything the operator can set.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Config {
@@ -67,6 +65,15 @@ pub struct Config {
     pub shutdown_grace: Duration,
     /// What is logged (`tracing` filter directives).
     pub log: String,
+}
+
+/// Whether pages are brought ahead.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Prefetch {
+    /// Never.
+    Off,
+    /// Those that a moving viewer's next frame would miss.
+    Motion,
 }
 
 /// What renders.

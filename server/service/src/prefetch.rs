@@ -1,12 +1,12 @@
 //! Pages for a viewer's next frame, brought while there is none to draw: `sessions` looks ahead after each frame of a viewer who moves.
 //!
 //! A look on the render thread tells which pages the extrapolated camera misses; they are read into memory off that thread, so that a slow
-//! disk delays nobody, and handed to the adapter in small pieces, between which any frame goes first. Whoever drops the future ends it.
+//! disk delays nobody, and handed to the adapter in small pieces, between which any frame goes first. A frame that comes during the look, which
+//! shades the object alone, waits for it. Whoever drops the future ends it.
 
 use std::sync::Arc;
 
 use lumisphere::geometry::Camera;
-use lumisphere::representations::PageSource;
 use lumisphere::textures::{Page, PageId};
 
 use crate::api::blocking;
@@ -17,15 +17,6 @@ use crate::wire::settings::RenderSettings;
 
 /// In one piece: what a frame may have to wait for, a few milliseconds.
 const PAGES_AT_ONCE: usize = 8;
-
-/// Whether pages are brought ahead.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Prefetch {
-    /// Never.
-    Off,
-    /// Those that a moving viewer's next frame would miss.
-    Motion,
-}
 
 /// Where a viewer was at the last two frames.
 #[derive(Debug, Default)]
@@ -77,10 +68,10 @@ impl Expected {
     }
 }
 
-/// Through the cache, as a prefetch first: what it costs is not a frame's.
+/// Through the cache, as a prefetch: no frame asked for it.
 fn read(version: &OpenedVersion, page: PageId) -> Result<(PageId, Arc<Page>), ApiError> {
-    version.pages.cache.prefetch(&version.pages.version, page)?;
-    Ok((page, version.pages.page(page)?.page))
+    let (image, _) = version.pages.cache.prefetch(&version.pages.version, page)?;
+    Ok((page, image))
 }
 
 #[cfg(test)]

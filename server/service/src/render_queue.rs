@@ -175,7 +175,7 @@ impl<R: 'static> RenderQueue<R> {
         answered.await.map_err(|_| QueueError::Stopped)?
     }
 
-    /// Runs a short piece of work when no render waits for the thread. Dropping the future before it starts drops the work.
+    /// Runs a piece of work, no longer than a frame, when no render waits for the thread. Dropping the future before it starts drops the work.
     pub async fn run_idle<T: Send + 'static>(&self, work: impl FnOnce(&mut R) -> T + Send + 'static) -> Result<T, QueueError> {
         let slot = self.idle_slot.clone().acquire_owned().await.map_err(|_| QueueError::Stopped)?;
         let (answer, answered) = oneshot::channel();

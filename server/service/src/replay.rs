@@ -4,9 +4,9 @@
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
-use lumisphere::textures::{Cache, CacheOptions, DatasetVersion, PageId, Trace, TraceEvent, laboratory};
+use lumisphere::textures::{Cache, CacheOptions, DatasetVersion, PageId, StoreError, Trace, TraceEvent, laboratory};
 use tokio::sync::mpsc;
 use tokio_stream::{Stream, StreamExt};
 use tonic::Status;
@@ -18,16 +18,18 @@ use crate::wire::{MAX_CHUNK_BYTES, required};
 
 /// Of the file.
 const MAX_TRACE_BYTES: usize = 64 << 20;
-/// Of all events together: some ten seconds a cache.
+/// Of all events together: some ten seconds a cache, if they hit.
 const MAX_FETCHES: u64 = 1 << 28;
-/// A message must come within this time.
+/// A message must come within this time, and the whole trace within ten of them.
 const PATIENCE: Duration = Duration::from_secs(30);
+/// All caches together: nobody else replays meanwhile.
+const MOST_TIME: Duration = Duration::from_secs(600);
 
-/// A plan and the requests to try it with.
+/// A plan and a trace file to try it with.
 #[derive(Debug)]
 pub struct Replay {
     plan: ReplayPlan,
-    trace: Trace,
+    file: Vec<u8>,
 }
 
 /// Where outcomes go.
@@ -35,9 +37,16 @@ pub type Outcomes = mpsc::Sender<Result<proto::ReplayOutcome, Status>>;
 
 impl Replay {
     /// From the client's messages, to their end.
-    pub async fn received(mut messages: impl Stream<Item = Result<proto::ReplayTraceRequest, Status>> + Unpin) -> Result<Self, ApiError> {
+    pub async fn received(messages: impl Stream<Item = Result<proto::ReplayTraceRequest, Status>> + Unpin) -> Result<Self, ApiError> {
+        let late = |_| ApiError::new(Reason::DeadlineExceeded, "the whole trace did not come in time");
+        tokio::time::timeout(10 * PATIENCE, Self::received_at_last(messages)).await.map_err(late)?
+    }
+
+    async fn received_at_last(
+        mut messages: impl Stream<Item = Result<proto::ReplayTraceRequest, Status>> + Unpin,
+    ) -> Result<Self, ApiError> {
         let late = |_| ApiError::new(Reason::DeadlineExceeded, "the next part of the trace did not come in time");
-        let left = |_| ApiError::new(Reason::DeadlineExceeded, "the trace broke off");
+        let left = |status: Status| ApiError::field("trace", format!("a message could not be read: {}", status.message()));
         let (mut plan, mut file) = (None, Vec::new());
         while let Some(message) = tokio::time::timeout(PATIENCE, messages.next()).await.map_err(late)? {
             match (required(message.map_err(left)?.message, "message")?, &plan) {
@@ -47,39 +56,45 @@ impl Replay {
                 (Message::Trace(chunk), Some(_)) => take(&mut file, &chunk)?,
             }
         }
-        let plan = plan.ok_or_else(|| ApiError::field("settings", "missing"))?;
-        let whole = Trace::from_bytes(&file).map_err(|error| ApiError::field("trace", error))?;
-        let problem = || ApiError::field("settings.part", format!("{}, the trace has {}", plan.part, whole.versions.len()));
-        let trace = whole.only(plan.part).ok_or_else(problem)?;
-        Ok(Self { plan, trace })
+        Ok(Self { plan: plan.ok_or_else(|| ApiError::field("settings", "missing"))?, file })
     }
 
-    /// The dataset and version that the trace was recorded of.
-    pub fn dataset(&self) -> (&str, u64) {
-        (&self.trace.versions[0].dataset, self.trace.versions[0].version)
-    }
-
-    /// Every cache in turn, on this thread, until someone `is_unwanted`. Caches larger than `most_bytes` are refused.
+    /// Every cache in turn, on this thread, until someone `is_unwanted`. `open` finds the dataset and version that the trace was recorded of.
+    /// Caches larger than `most_bytes` are refused.
     pub fn run(
         self,
-        version: &Arc<DatasetVersion>,
+        open: impl FnOnce(&str, u64) -> Result<Arc<DatasetVersion>, StoreError>,
         most_bytes: u64,
         told: &Outcomes,
         is_unwanted: impl Fn() -> bool,
     ) -> Result<(), ApiError> {
-        let page_bytes = self.trace.versions[0].shape.resident_bytes() as u64;
+        let (begun, plan) = (Instant::now(), self.plan);
+        let trace = the_part(&plan, self.file)?;
+        let recorded = &trace.versions[0];
+        let version = &open(&recorded.dataset, recorded.version)?;
+        let page_bytes = recorded.shape.resident_bytes() as u64;
         let too_large = |size: &&u32| u64::from(**size) * page_bytes > most_bytes;
-        if let Some(size) = self.plan.sizes_pages.iter().find(too_large) {
+        if let Some(size) = plan.sizes_pages.iter().find(too_large) {
             let problem = format!("{size} pages of {page_bytes} bytes, at most {most_bytes} bytes expected");
             return Err(ApiError::field("settings.sizes_pages", problem));
         }
-        check_rows(&self.trace, version)?;
-        let total = self.plan.cells().count();
-        for (done, cell) in (1..).zip(self.plan.cells()) {
+        check_rows(&trace, version)?;
+        let total = plan.cells().count();
+        let is_late = || begun.elapsed() > MOST_TIME;
+        let ends = || is_unwanted() || is_late();
+        for (done, cell) in (1..).zip(plan.cells()) {
             let (strategy, decoded_policy, size_pages) = cell;
             let options = CacheOptions { strategy, decoded_policy, ..CacheOptions::decoded(u64::from(size_pages) * page_bytes) };
-            let replayed = laboratory::replay(&self.trace, std::slice::from_ref(version), options, &is_unwanted)?;
+            let replayed = laboratory::replay(&trace, std::slice::from_ref(version), options, &ends)?;
             let Some((counted, nanos)) = replayed else {
+                if is_late() {
+                    let message = format!(
+                        "{} of {total} caches were replayed in {} s: fewer or larger caches expected",
+                        done - 1,
+                        MOST_TIME.as_secs()
+                    );
+                    return Err(ApiError::new(Reason::DeadlineExceeded, message));
+                }
                 return Err(ApiError::new(Reason::ShuttingDown, "the replay is not wanted any more"));
             };
             // The client may have left.
@@ -89,11 +104,17 @@ impl Replay {
     }
 }
 
+// The requests for the dataset that the plan is about; the file is let go of.
+fn the_part(plan: &ReplayPlan, file: Vec<u8>) -> Result<Trace, ApiError> {
+    let whole = Trace::from_bytes(&file).map_err(|error| ApiError::field("trace", error))?;
+    let count = whole.versions.len();
+    whole.only(plan.part).ok_or_else(|| ApiError::field("settings.part", format!("{}, the trace has {count}", plan.part)))
+}
+
 fn take(file: &mut Vec<u8>, chunk: &[u8]) -> Result<(), ApiError> {
     let (size, whole) = (chunk.len(), file.len() + chunk.len());
-    if size > MAX_CHUNK_BYTES || whole > MAX_TRACE_BYTES {
-        let problem =
-            format!("{size} bytes after {}, chunks of at most {MAX_CHUNK_BYTES} and {MAX_TRACE_BYTES} in all expected", file.len());
+    if size == 0 || size > MAX_CHUNK_BYTES || whole > MAX_TRACE_BYTES {
+        let problem = format!("{size} bytes after {}, chunks of 1 to {MAX_CHUNK_BYTES} and {MAX_TRACE_BYTES} in all expected", file.len());
         return Err(ApiError::field("trace", problem));
     }
     file.extend_from_slice(chunk);
@@ -147,10 +168,13 @@ mod tests {
         assert!(received(vec![]).await.unwrap_err().starts_with("settings: missing"));
         assert!(received(vec![bytes(), settings()]).await.unwrap_err().contains("before the trace"));
         assert!(received(vec![settings(), settings()]).await.unwrap_err().contains("twice"));
-        assert!(received(vec![settings()]).await.unwrap_err().starts_with("trace: not a trace"));
+        assert!(received(vec![settings(), Message::Trace(vec![].into())]).await.unwrap_err().starts_with("trace: 0 bytes"));
         assert!(received(vec![settings(), Message::Trace(vec![0; MAX_CHUNK_BYTES + 1].into())]).await.unwrap_err().starts_with("trace"));
+        let part_of = |file: Vec<u8>, plan: &ReplayPlan| the_part(plan, file).map_err(|error| error.to_string());
+        let plan = received(vec![settings(), bytes()]).await.unwrap().plan;
+        assert!(part_of(vec![], &plan).unwrap_err().starts_with("trace: not a trace"));
         // A trace of nothing has no part.
-        assert!(received(vec![settings(), bytes()]).await.unwrap_err().starts_with("settings.part"));
+        assert!(part_of(trace.to_bytes(), &plan).unwrap_err().starts_with("settings.part"));
     }
 
     #[test]

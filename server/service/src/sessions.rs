@@ -17,10 +17,10 @@ use tonic::Status;
 
 use crate::api::{App, blocking};
 use crate::catalog::OpenedVersion;
-use crate::config::BackendChoice;
+use crate::config::{BackendChoice, Prefetch};
 use crate::errors::{ApiError, Reason};
 use crate::frames::FrameOrder;
-use crate::prefetch::{Expected, Motion, Prefetch};
+use crate::prefetch::{Expected, Motion};
 use crate::render_queue::Priority;
 use crate::wire::frames::FrameIdentity;
 use crate::wire::settings::{Output, RenderSettings, check_kind, output, render_settings};

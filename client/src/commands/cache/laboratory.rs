@@ -128,10 +128,10 @@ impl Value {
 /// Replays and prints.
 pub async fn replay(arguments: &Arguments, context: &Context) -> anyhow::Result<()> {
     let whole = read_trace(&arguments.trace)?;
-    let trace = whole.only(arguments.part).ok_or_else(|| {
-        let names: Vec<_> = whole.versions.iter().map(|v| format!("{} of {}x{}", v.dataset, v.shape.width, v.shape.height)).collect();
-        Failure::Usage(format!("--part is {}, the trace has {}: {}", arguments.part, names.len(), names.join(", ")))
-    })?;
+    let names: Vec<_> = whole.versions.iter().map(|v| format!("{} of {}x{}", v.dataset, v.shape.width, v.shape.height)).collect();
+    let trace = whole
+        .only(arguments.part)
+        .ok_or_else(|| Failure::Usage(format!("--part is {}, the trace has {}: {}", arguments.part, names.len(), names.join(", "))))?;
     if trace.is_truncated {
         context.output.say("the recording reached its limit: the end of what was rendered is missing");
     }

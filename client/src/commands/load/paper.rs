@@ -143,7 +143,7 @@ impl Figure {
     /// Replayed with the paper's codec: LZW, decoded from the page's start.
     fn percent(&self, trace: &Trace) -> f64 {
         let part = if self.requests == Requests::SampleMaps { 1 } else { 0 };
-        let trace = trace.only(part).expect("a recorded frame has both parts");
+        let trace = trace.clone().only(part).expect("a recorded frame has both parts");
         let bytes = u64::from(self.size) * trace.versions[0].shape.resident_bytes() as u64;
         let outcomes = compare(&trace, Codec::LzwSeq, &[self.strategy], &[Order::Policy(PolicyKind::Lru)], &[bytes]);
         100.0 * outcomes[0].misses as f64 / outcomes[0].texel_fetches.max(1) as f64

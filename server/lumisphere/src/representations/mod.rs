@@ -193,7 +193,7 @@ pub trait GpuKernel: Send {
 #[doc(hidden)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum UploadUnit {
-    /// Blocks of 16 rows (of pages taller than 512, a 32nd): those that a frame wants, or whole pages where few are missing.
+    /// Blocks of 16 rows, or of the next power of two that makes at most 32 of a page: those that a frame wants, or whole pages where few are missing.
     Rows,
     /// Pages, for the bench that measures what the other saves.
     Pages,

@@ -182,16 +182,16 @@ impl Cache {
 
     /// Brings a page that will be wanted soon, whole, and says whether it had to be read. Counted as a prefetch, not as a look-up; who
     /// asks for the page meanwhile waits for this read.
-    pub fn prefetch(&self, version: &Arc<DatasetVersion>, page: PageId) -> Result<bool, StoreError> {
+    pub fn prefetch(&self, version: &Arc<DatasetVersion>, page: PageId) -> Result<(Arc<Page>, bool), StoreError> {
         let table = self.table(version);
-        let Some(slots) = table.page(page) else { return version.read_page(page).map(|_| true) };
+        let Some(slots) = table.page(page) else { return version.read_page(page).map(|page| (Arc::new(page), true)) };
         let mut is_miss = false;
         let miss = Miss { version, slots, part: Part::Whole, want: Want::WholePage, strategy: table.strategy() };
-        self.obtain(&miss, &mut || is_miss = true)?;
+        let obtained = self.obtain(&miss, &mut || is_miss = true)?;
         if is_miss {
             self.stripes.count(table.slot, |c| c.prefetches += 1);
         }
-        Ok(is_miss)
+        Ok((obtained.chunk.page.clone(), is_miss))
     }
 
     /// A rendered frame begins: some policies work by frames, and recordings mark them.

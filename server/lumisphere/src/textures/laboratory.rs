@@ -158,8 +158,8 @@ pub fn replay(
     Ok(Some((cache.snapshot(), nanos)))
 }
 
-// Of a replay, some milliseconds.
-const EVENTS_BETWEEN_LOOKS: usize = 1 << 12;
+// Of a replay: some milliseconds, if every one decodes a page.
+const EVENTS_BETWEEN_LOOKS: usize = 64;
 
 /// What is cached as one: a page, or a block of one. Version, page, block + 1.
 type Unit = (u32, u32, u32);

@@ -88,16 +88,14 @@ pub struct Trace {
 pub struct InvalidTrace(pub &'static str);
 
 impl Trace {
-    /// The requests of one version alone, frames kept; None if there is no such version.
-    pub fn only(&self, version: u32) -> Option<Self> {
+    /// The requests of one version alone, frames kept; None if there is no such version. Takes no more memory.
+    pub fn only(mut self, version: u32) -> Option<Self> {
         let kept = self.versions.get(version as usize)?.clone();
-        let events = self.events.iter().filter_map(|event| match *event {
-            TraceEvent::Frame => Some(TraceEvent::Frame),
-            TraceEvent::Row { version: v, page, row, fetches } if v == version => Some(TraceEvent::Row { version: 0, page, row, fetches }),
-            TraceEvent::Page { version: v, page } if v == version => Some(TraceEvent::Page { version: 0, page }),
-            TraceEvent::Row { .. } | TraceEvent::Page { .. } => None,
+        self.events.retain_mut(|event| match event {
+            TraceEvent::Frame => true,
+            TraceEvent::Row { version: of, .. } | TraceEvent::Page { version: of, .. } => std::mem::take(of) == version,
         });
-        Some(Self { versions: vec![kept], events: events.collect(), is_truncated: self.is_truncated })
+        Some(Self { versions: vec![kept], ..self })
     }
 
     /// The file's content.

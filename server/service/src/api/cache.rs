@@ -136,9 +136,8 @@ async fn replayed(app: &Arc<App>, messages: Streaming<proto::ReplayTraceRequest>
     let replay = Replay::received(messages).await?;
     let (app, most_bytes) = (app.clone(), app.config.cache.decoded_bytes);
     blocking(move || {
-        let (dataset, version) = replay.dataset();
-        let version = app.catalog.store().open_version(dataset, Some(version))?;
-        replay.run(&version, most_bytes, &told, || told.is_closed() || app.stopping.is_cancelled())
+        let open = |dataset: &str, version| app.catalog.store().open_version(dataset, Some(version));
+        replay.run(open, most_bytes, &told, || told.is_closed() || app.stopping.is_cancelled())
     })
     .await
 }

@@ -48,9 +48,9 @@ impl Running {
         Self(Decoder::new().expect("a zstd context fails only without memory"))
     }
 
-    /// Of its tables and buffers, and of its window: no larger than the page, rounded up, or 512 KiB at this level.
+    /// Of its tables (96 KiB) and buffers (three of 128 KiB), and of its window: no larger than the page, rounded up, or 512 KiB at this level.
     pub fn bytes(shape: &PageShape) -> usize {
-        const CONTEXT: usize = 448 << 10;
+        const CONTEXT: usize = 484 << 10;
         CONTEXT + shape.decoded_bytes().next_power_of_two().min(512 << 10)
     }
 

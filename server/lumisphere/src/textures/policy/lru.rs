@@ -1,4 +1,4 @@
-//! Exact least recently used (P. Denning 1968): the reference of all others, and within a few percent of the best on rendered frames.
+//! Exact least recently used (P. Denning 1968): the reference of all others.
 
 use super::order::Order;
 use super::{PageKey, Policy};

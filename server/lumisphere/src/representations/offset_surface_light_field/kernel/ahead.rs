@@ -23,8 +23,8 @@ impl Kernel {
         if self.atlas.is_none() {
             return Ok(Vec::new());
         }
-        let scale = scale(request.camera, settings);
-        let camera = scaled_down(request.camera, scale);
+        let scale = scale(request.camera, settings, self.gpu.device().limits().max_texture_dimension_2d);
+        let Some(camera) = scaled_down(request.camera, scale) else { return Ok(Vec::new()) };
         let (width, rows) = (camera.intrinsics().width_px, camera.intrinsics().height_px);
         self.ensure_band(width, rows)?;
         let gpu = self.gpu.clone();
@@ -45,6 +45,12 @@ impl Kernel {
 
     /// Uploads `pages`, as far as neither what the last frame showed nor what the last look ahead expects has to leave for them; how many.
     pub(super) fn take_ahead(&mut self, pages: &[(PageId, Arc<Page>)]) -> Result<usize, RenderError> {
+        // Another viewer's look may have forgotten them since; none may leave for another of them.
+        for (page, _) in pages {
+            if let Some(is_expected) = self.expected.get_mut(page.0 as usize) {
+                *is_expected = true;
+            }
+        }
         let mut room = self.slots_ahead();
         let Some(bound) = &mut self.atlas else { return Ok(0) };
         let (field, atlas) = (&self.field, &mut bound.atlas);
@@ -82,21 +88,23 @@ fn take_one(room: &mut usize) -> bool {
     is_left
 }
 
-// The least at which a frame fits a band, in one submission.
-fn scale(camera: &Camera, settings: &Settings) -> u32 {
+// The least at which a frame fits a band, in one submission, no side longer than `longest`.
+fn scale(camera: &Camera, settings: &Settings, longest: u32) -> u32 {
     let directions = gloss(settings.component).map_or(1, |gloss| gloss.directions);
     let most = u64::from(MAX_BAND_PIXELS.min(MOST_DIRECTIONS_AT_ONCE / directions).max(1));
     let Intrinsics { width_px, height_px, .. } = *camera.intrinsics();
-    let fits = |scale: &u32| u64::from(width_px.div_ceil(*scale)) * u64::from(height_px.div_ceil(*scale)) <= most;
+    let fits = |scale: &u32| {
+        let (width, height) = (width_px.div_ceil(*scale), height_px.div_ceil(*scale));
+        width.max(height) <= longest && u64::from(width) * u64::from(height) <= most
+    };
     (1..).find(fits).expect("one pixel is within any limit")
 }
 
-// The same view with fewer pixels.
-fn scaled_down(camera: &Camera, scale: u32) -> Camera {
+// The same view with fewer pixels; None where the focal length, next to zero, becomes it.
+fn scaled_down(camera: &Camera, scale: u32) -> Option<Camera> {
     let Intrinsics { width_px, height_px, focal_px, center_px } = *camera.intrinsics();
     let (width, height) = (width_px.div_ceil(scale), height_px.div_ceil(scale));
     let shrink = glam::Vec2::new(width as f32 / width_px as f32, height as f32 / height_px as f32);
     let small = Intrinsics { width_px: width, height_px: height, focal_px: focal_px * shrink, center_px: center_px * shrink };
-    // Scaling finite, positive numbers down leaves them so, but for those next to zero.
-    Camera::new(small, *camera.pose()).unwrap_or(*camera)
+    Camera::new(small, *camera.pose()).ok()
 }

@@ -134,8 +134,8 @@ fn a_page_larger_than_the_budget_is_handed_out_and_not_kept() {
 #[test]
 fn a_page_brought_ahead_is_a_hit_and_no_look_up() {
     let cache = lru(1 << 20);
-    assert!(cache.prefetch(&growing().version, PageId(5)).unwrap());
-    assert!(!cache.prefetch(&growing().version, PageId(5)).unwrap());
+    assert!(cache.prefetch(&growing().version, PageId(5)).unwrap().1);
+    assert!(!cache.prefetch(&growing().version, PageId(5)).unwrap().1);
     assert!(cache.prefetch(&growing().version, PageId(99)).is_err());
     let stats = cache.stats();
     assert_eq!((stats.prefetches, stats.look_ups, stats.resident_pages), (1, 0, 1));
