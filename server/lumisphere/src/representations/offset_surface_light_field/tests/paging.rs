@@ -20,7 +20,7 @@ use crate::representations::{
     CachedPages, CountingSource, FrameRequest, GpuFrameStats, GpuKernel, PageSource, Pixels, Refine, RenderError, Representation,
     Settings as AnySettings, UploadUnit,
 };
-use crate::textures::{Cache, CacheOptions, PageId, PolicyKind};
+use crate::textures::{Cache, CacheOptions, Page, PageId, PolicyKind};
 
 const BUDGET: u64 = 256 << 20;
 // The coarser levels are coarse enough to be always there. It comes in two blocks of 16 rows.
@@ -63,11 +63,15 @@ impl Scene {
     }
 
     fn look_ahead(&mut self, camera: &Camera, upload_bytes: u64) -> usize {
+        let pages = self.missed_ahead(camera, upload_bytes);
+        self.kernel.bring_ahead(&pages).unwrap()
+    }
+
+    fn missed_ahead(&mut self, camera: &Camera, upload_bytes: u64) -> Vec<(PageId, Arc<Page>)> {
         let settings = self.settings();
         let request = FrameRequest { camera, settings: &settings, outputs: EVERYTHING, refine: Refine::Whole };
         let ahead = self.kernel.look_ahead(&request, upload_bytes).unwrap();
-        let pages: Vec<_> = ahead.into_iter().map(|page| (page, self.pages.page(page).unwrap().page)).collect();
-        self.kernel.bring_ahead(&pages).unwrap()
+        ahead.into_iter().map(|page| (page, self.pages.page(page).unwrap().page)).collect()
     }
 }
 
@@ -273,6 +277,29 @@ fn pages_brought_ahead_find_only_the_room_that_is_left() {
     let left = scene.kernel.stats().evictions - evictions;
     assert!(left > 0 && left <= room as u64, "{left} gave up {room} slots");
     assert_eq!(scene.draw(&cameras[0], Refine::Whole).unwrap().1.pages_uploaded, 0);
+}
+
+/// Two viewers: before what the first one's look found comes, the second one's look expects other pages. Some of the first's are there in part.
+#[test]
+fn what_comes_ahead_displaces_nothing_of_itself_whoever_looks_meanwhile() {
+    let cameras = orbit(&WORLD, 8);
+    for policy in PolicyKind::ALL {
+        let Some(mut scene) = Scene::in_memory(&WORLD) else { return };
+        let shown = scene.draw(&cameras[0], Refine::Whole).unwrap().0.pages_needed;
+        scene.kernel.set_policy(policy);
+        scene.kernel.set_slots(shown as u64 * 3 / 2);
+        scene.draw(&cameras[0], Refine::Whole).unwrap();
+        for turn in 1..7 {
+            // The room that is left fills up with parts of pages that nobody is known to want.
+            scene.draw(&cameras[turn], Refine::Whole).unwrap();
+            let first = scene.missed_ahead(&cameras[turn - 1], 1000 * PAGE_BYTES);
+            let _ = scene.missed_ahead(&cameras[turn + 1], 1000 * PAGE_BYTES);
+            let brought = scene.kernel.bring_ahead(&first).unwrap();
+            assert!(scene.missed_ahead(&cameras[turn - 1], 1000 * PAGE_BYTES).len() + brought <= first.len(), "{policy}, turn {turn}");
+        }
+        let frame = scene.draw(&cameras[7], Refine::Whole).unwrap().0;
+        assert!(frame == Scene::in_memory(&WORLD).unwrap().draw(&cameras[7], Refine::Whole).unwrap().0, "{policy}");
+    }
 }
 
 #[test]
