@@ -7,7 +7,7 @@ use lumisphere_proto::v1alpha1 as wire;
 
 use crate::process::{Server, temporary_folder};
 use crate::tiny::{self, DATASET, QUICK};
-use crate::wire::{camera, frame_request};
+use crate::wire::{camera_around, frame_request};
 
 const MEMORY_BUDGET: u64 = 80 << 20;
 const GPU_BUDGET: u64 = 80 << 20;
@@ -32,15 +32,7 @@ const LARGE: [&str; 14] = [
 
 /// A camera on a circle around the box, looking at it.
 fn around(step: usize) -> wire::Camera {
-    let (sin, cos) = (0.37 * step as f32).sin_cos();
-    let vector = |x, y, z| Some(wire::Vector3 { x, y, z });
-    let pose = wire::Pose {
-        position: vector(3.0 * sin, 1.0, 3.0 * cos),
-        right: vector(cos, 0.0, -sin),
-        up: vector(0.0, 1.0, 0.0),
-        backward: vector(sin, 0.0, cos),
-    };
-    wire::Camera { pose: Some(pose), ..camera(160, 120) }
+    camera_around(0.37 * step as f32, 160, 120)
 }
 
 #[tokio::test(flavor = "multi_thread")]

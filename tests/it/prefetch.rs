@@ -12,21 +12,20 @@ use crate::clients::Viewer;
 use crate::process::{PATIENCE, Server, temporary_folder};
 use crate::system::get;
 use crate::tiny;
-use crate::wire::{camera, settings};
+use crate::wire::{camera_around, settings};
 
 const STEPS: u64 = 8;
 
 /// Once around the box.
 fn around(step: u64) -> wire::Camera {
-    let (sin, cos) = (std::f32::consts::TAU * step as f32 / STEPS as f32).sin_cos();
-    let vector = |x, y, z| Some(wire::Vector3 { x, y, z });
-    let pose = wire::Pose {
-        position: vector(3.0 * sin, 1.0, 3.0 * cos),
-        right: vector(cos, 0.0, -sin),
-        up: vector(0.0, 1.0, 0.0),
-        backward: vector(sin, 0.0, cos),
-    };
-    wire::Camera { pose: Some(pose), ..camera(64, 48) }
+    camera_around(std::f32::consts::TAU * step as f32 / STEPS as f32, 64, 48)
+}
+
+/// Without one nothing is brought to it.
+fn has_adapter(server: &Server) -> bool {
+    let has = server.json(&["system", "info"])["adapter"] != "";
+    assert!(has || std::env::var_os("REQUIRE_GPU").is_none(), "no adapter");
+    has
 }
 
 /// Every read wants a page: without filtering none is coarse.
@@ -75,8 +74,7 @@ async fn a_moving_viewer_misses_less_with_pages_brought_ahead_and_sees_the_same(
     let data = folder.path().join("data");
     let off = Server::start_with(&data, &["--prefetch", "off"]);
     tiny::capture(&off, folder.path());
-    if off.json(&["system", "info"])["adapter"] == "" {
-        assert!(std::env::var_os("REQUIRE_GPU").is_none(), "no adapter");
+    if !has_adapter(&off) {
         return;
     }
     let without = walk(&mut Viewer::open_with(&off, 1, mirror()).await, (0..STEPS).map(around), |_| {}).await;
@@ -107,8 +105,7 @@ async fn two_viewers_at_once_are_served_while_pages_are_brought_ahead() {
     let folder = temporary_folder();
     let server = Server::start(&folder.path().join("data"));
     tiny::capture(&server, folder.path());
-    if server.json(&["system", "info"])["adapter"] == "" {
-        assert!(std::env::var_os("REQUIRE_GPU").is_none(), "no adapter");
+    if !has_adapter(&server) {
         return;
     }
     let alone = walk(&mut Viewer::open_with(&server, 1, mirror()).await, (0..STEPS).map(around), |_| {}).await;
@@ -127,8 +124,7 @@ async fn a_viewer_at_rest_brings_nothing_ahead() {
     let folder = temporary_folder();
     let server = Server::start(&folder.path().join("data"));
     tiny::capture(&server, folder.path());
-    if server.json(&["system", "info"])["adapter"] == "" {
-        assert!(std::env::var_os("REQUIRE_GPU").is_none(), "no adapter");
+    if !has_adapter(&server) {
         return;
     }
     let mut viewer = Viewer::open_with(&server, 1, mirror()).await;

@@ -11,11 +11,17 @@ fn vector([x, y, z]: [f32; 3]) -> Option<wire::Vector3> {
 
 /// Looks along −Z from (0, 1, 3): the tiny scene's box is in the middle.
 pub fn camera(width_px: u32, height_px: u32) -> wire::Camera {
+    camera_around(0.0, width_px, height_px)
+}
+
+/// The same, turned about the box by an angle in radians.
+pub fn camera_around(angle: f32, width_px: u32, height_px: u32) -> wire::Camera {
+    let (sin, cos) = angle.sin_cos();
     let pose = wire::Pose {
-        position: vector([0.0, 1.0, 3.0]),
-        right: vector([1.0, 0.0, 0.0]),
+        position: vector([3.0 * sin, 1.0, 3.0 * cos]),
+        right: vector([cos, 0.0, -sin]),
         up: vector([0.0, 1.0, 0.0]),
-        backward: vector([0.0, 0.0, 1.0]),
+        backward: vector([sin, 0.0, cos]),
     };
     let intrinsics =
         wire::Intrinsics { width_px, height_px, focal_x_px: height_px as f32, focal_y_px: 0.0, center_x_px: None, center_y_px: None };

@@ -17,8 +17,9 @@ const TEXEL: u64 = 12;
 /// The sky's tables, bytes a texel: cells and cumulative weights, and f64 weights while they are made.
 const SKY_TABLES: u64 = 24;
 
-/// Bytes that a job needs to trace `scene` with every object and without one, and to hold it and its background: an estimate, within a
-/// fifth on scenes of many texels or triangles, that grows with both. What the background's meshes gain by subdivision is not in it.
+/// Bytes that a job needs to trace `scene` with every object and without one, and to hold it and its background: an estimate that
+/// grows with triangles and texels, compared with what was measured on one scene (docs/measurements.md, "Memory of the server"). What the
+/// background's meshes gain by subdivision is not in it.
 pub fn working_bytes(scene: &Scene) -> u64 {
     let triangles: u64 = scene.objects.iter().map(|o| o.mesh.triangles.len() as u64).sum();
     let packets = BOXES / (0.75 * LANES as f64);

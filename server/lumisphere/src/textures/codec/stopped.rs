@@ -46,7 +46,7 @@ impl Stopped {
         first.min(behind - 1)..behind
     }
 
-    /// Bytes that a decoder of a codec holds behind a page's `rows` first rows, at most: what it keeps of a page besides its texels.
+    /// Bytes that a decoder holds wherever in a page of this shape it stops, at most.
     pub fn resident_bytes(codec: Codec, shape: &PageShape) -> usize {
         match codec {
             Codec::LzwSeq => lzw_seq::Running::BYTES,
