@@ -11,6 +11,7 @@ use wire::capture_spec::Density;
 
 use crate::cameras::{OrbitFlags, Size, Views, read_cameras};
 use crate::commands::evaluate::Truth;
+use crate::commands::job::codec_message;
 use crate::exit::Failure;
 use crate::render_settings::{Backend, Blend, Component, Filter, GlossFlags, settings};
 use crate::scene_source::SceneFlags;
@@ -181,6 +182,9 @@ fn capture_axes(mut s: Section, folder: &Path) -> anyhow::Result<Vec<Capture>> {
     let map_sizes = s.axis("sample_map_size_texels", &count("16 to 1024", &|v| integer(v, 16, 1024)))?.unwrap_or(vec![0]);
     let formats =
         s.axis("pixel_format", &Expected { text: "\"f16\" or \"f32\"", read: &format })?.unwrap_or(vec![wire::PixelFormat::Unspecified]);
+    let codec = |v: &Value| v.as_str()?.parse().ok().map(codec_message);
+    let codec = Expected { text: "\"bits-chunk\", \"zstd-chunk\", \"zstd-seq\" or \"lzw-seq\"", read: &codec };
+    let codecs = s.axis("codec", &codec)?.unwrap_or(vec![wire::Codec::Unspecified]);
     let seeds = s.axis("seed", &seed())?.unwrap_or(vec![0]);
     s.finish()?;
 
@@ -193,6 +197,7 @@ fn capture_axes(mut s: Section, folder: &Path) -> anyhow::Result<Vec<Capture>> {
     all = crossed(&all, &bounces, |c, v| c.max_bounces = *v);
     all = crossed(&all, &map_sizes, |c, v| c.sample_map_size_texels = *v);
     all = crossed(&all, &formats, |c, v| c.pixel_format = (*v).into());
+    all = crossed(&all, &codecs, |c, v| c.codec = (*v).into());
     all = crossed(&all, &seeds, |c, v| c.seed = *v);
     let scene = |name: &String| SceneFlags {
         scene: placed(name, folder),
@@ -235,6 +240,7 @@ fn axes(c: &wire::CaptureSpec) -> BTreeMap<&'static str, String> {
         ("bounces", c.max_bounces.to_string()),
         ("map", c.sample_map_size_texels.to_string()),
         ("format", if format == wire::PixelFormat::F32 { "f32".into() } else { "f16".into() }),
+        ("codec", if c.codec == 0 { "0".into() } else { c.codec().as_str_name()["CODEC_".len()..].to_lowercase().replace('_', "-") }),
         ("seed", c.seed.to_string()),
     ];
     // 0 is what was not given, but for the seed.

@@ -9,6 +9,7 @@ mod command_line;
 mod killed;
 mod main_flow;
 mod memory;
+mod paper_tables;
 mod prefetch;
 mod process;
 mod rules;

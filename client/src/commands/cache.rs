@@ -1,6 +1,6 @@
 //! `lumisphere cache …`.
 
-mod laboratory;
+pub mod laboratory;
 pub mod recording;
 mod stats;
 

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{Args, Subcommand, ValueEnum};
+use lumisphere::textures::Codec;
 use lumisphere_proto::v1alpha1 as wire;
 use serde_json::json;
 use wire::job_spec::Spec;
@@ -117,6 +118,9 @@ pub struct CaptureArguments {
     /// Of stored pages
     #[arg(long, value_enum, default_value = "f16")]
     pixel_format: PixelFormat,
+    /// Of stored pages; the sequential ones have any row only after all before it
+    #[arg(long, value_name = "CODEC", default_value_t = Codec::DEFAULT)]
+    codec: Codec,
     /// Of the random numbers
     #[arg(long, default_value_t = 0)]
     seed: u64,
@@ -229,9 +233,20 @@ async fn submit_capture(context: &Context, arguments: &CaptureArguments) -> anyh
         max_bounces: given(arguments.max_bounces, "max-bounces")?,
         sample_map_size_texels: given(arguments.sample_map_size_texels, "sample-map-size-texels")?,
         pixel_format: pixel_format.into(),
+        codec: codec_message(arguments.codec).into(),
         seed: arguments.seed,
     };
     submit_and_tell(context, &server, Spec::Capture(spec), &arguments.submit).await
+}
+
+/// On the wire.
+pub fn codec_message(codec: Codec) -> wire::Codec {
+    match codec {
+        Codec::ZstdChunk => wire::Codec::ZstdChunk,
+        Codec::ZstdSeq => wire::Codec::ZstdSeq,
+        Codec::LzwSeq => wire::Codec::LzwSeq,
+        Codec::BitsChunk => wire::Codec::BitsChunk,
+    }
 }
 
 async fn submit_path_render(context: &Context, arguments: &PathRenderArguments) -> anyhow::Result<()> {

@@ -67,6 +67,10 @@ pub struct Arguments {
     /// No load: print the paper's cache tables (6.3 to 6.7) beside the same from the orbit's first frame, pixel by pixel
     #[arg(long, conflicts_with_all = ["motion", "phases", "strategies", "out"])]
     paper: bool,
+    /// With --paper: also replay on the server, through real caches over the dataset as it is stored (`job submit capture --codec lzw-seq
+    /// --pixel-format f32` stores as the paper did), and print what that took
+    #[arg(long, requires = "paper")]
+    times: bool,
     /// Write load.json and load.svg into this folder
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
@@ -88,7 +92,7 @@ pub async fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<()>
     let server = context.connect().await?;
     let version = version_of(context, &server, &arguments.dataset, arguments.version).await?;
     if arguments.paper {
-        return paper::run(context, &server, &arguments.dataset, &version, &arguments.orbit).await;
+        return paper::run(context, &server, &arguments.dataset, &version, &arguments.orbit, arguments.times).await;
     }
     let existing = Existing::from_force(arguments.force);
     if let Some(out) = &arguments.out {

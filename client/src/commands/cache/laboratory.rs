@@ -1,6 +1,6 @@
 //! `lumisphere cache replay` and `cache report`: other caches' fate under a recorded trace.
 
-mod on_server;
+pub mod on_server;
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -76,7 +76,7 @@ pub struct ReportArguments {
 
 /// A line of the table.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-struct Row {
+pub struct Row {
     strategy: &'static str,
     policy: &'static str,
     size_pages: u32,

@@ -21,7 +21,7 @@ use lumisphere::representations::offset_surface_light_field::{
 };
 use lumisphere::representations::{CachedPages, Fetched, PageSource, TexelReader};
 use lumisphere::scenes::{BuiltinOptions, builtin};
-use lumisphere::textures::{Cache, CacheOptions, DatasetVersion, PageId, PixelFormat, Publication, Store, StoreError, StoreOptions};
+use lumisphere::textures::{Cache, CacheOptions, Codec, DatasetVersion, PageId, PixelFormat, Publication, Store, StoreError, StoreOptions};
 
 const RUNS: usize = 15;
 // Of the orbit under a cap: three seconds a revolution at 30 frames a second.
@@ -298,6 +298,7 @@ fn captured(face_size: u32, points: u32, samples_per_texel: u32) -> Arc<DatasetV
         face_size_texels: face_size,
         sample_map_size_texels: 256,
         pixel_format: PixelFormat::F16,
+        codec: Codec::DEFAULT,
         samples_per_texel,
         max_bounces: 1,
         seed: 1,

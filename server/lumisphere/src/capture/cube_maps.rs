@@ -8,7 +8,7 @@ use super::levels::{coarser_levels, halved, stacked};
 use crate::directions::{CubeMap, FACES};
 use crate::progress::{Cancelled, Progress};
 use crate::raytrace::{TraceSettings, Tracer};
-use crate::textures::{EncodedPage, Page, PageId, PageShape, PixelFormat, Staging, StoreError, encode};
+use crate::textures::{Codec, EncodedPage, Page, PageId, PageShape, PixelFormat, Staging, StoreError, encode_as};
 
 /// Where a cube map is taken, and in which scene.
 #[derive(Clone, Copy)]
@@ -41,7 +41,7 @@ const BATCH: usize = 8;
 pub fn trace_cube_maps(
     viewpoints: &[Viewpoint<'_>],
     face_size: u32,
-    pixel: PixelFormat,
+    (codec, pixel): (Codec, PixelFormat),
     settings: &TraceSettings,
     staging: &Staging,
     progress: &dyn Progress,
@@ -65,7 +65,7 @@ pub fn trace_cube_maps(
                     TraceSettings { seed: settings.seed.wrapping_add((*k as u64 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15)), ..*settings };
                 let Viewpoint { tracer, position } = viewpoints[*k];
                 let map = tracer.cube_map(position, face_size as usize, &seeded, &Silent(progress))?;
-                encode_cube_map(&map, shape, levels)
+                encode_cube_map(&map, codec, shape, levels)
             })
             .collect();
         for (k, parts) in batch.iter().zip(traced?) {
@@ -80,14 +80,14 @@ pub fn trace_cube_maps(
 }
 
 // Faces, then levels.
-fn encode_cube_map(map: &CubeMap, shape: PageShape, levels: usize) -> Result<Vec<EncodedPage>, CaptureError> {
+fn encode_cube_map(map: &CubeMap, codec: Codec, shape: PageShape, levels: usize) -> Result<Vec<EncodedPage>, CaptureError> {
     let faces = map.texels.chunks(map.size * map.size).map(<[_]>::as_flattened);
-    let mut pages = faces.clone().map(|face| encode(&shape, face)).collect::<Result<Vec<_>, _>>()?;
+    let mut pages = faces.clone().map(|face| encode_as(codec, &shape, face)).collect::<Result<Vec<_>, _>>()?;
     let mut finer = faces.map(|face| Page::from_f32(shape, face)).collect::<Result<Vec<_>, _>>()?;
     for _ in 0..levels {
         finer = finer.iter().map(|face| halved(face, 3)).collect::<Result<_, _>>()?;
         let level = stacked(&finer)?;
-        pages.push(encode(&level.shape(), &level.to_f32())?);
+        pages.push(encode_as(codec, &level.shape(), &level.to_f32())?);
     }
     Ok(pages)
 }

@@ -132,10 +132,12 @@ pub fn replay(
     let started = Instant::now();
     let mut readers: Vec<_> = versions.iter().map(|version| cache.reader(version)).collect();
     let missing = |version: u32| StoreError::NotFound { what: format!("version {version} of the trace") };
-    for (number, event) in trace.events.iter().enumerate() {
-        if number % EVENTS_BETWEEN_LOOKS == 0 && is_unwanted() {
-            return Ok(None);
-        }
+    let mut requests = 0u64;
+    let mut is_over = || {
+        requests += 1;
+        requests % REQUESTS_BETWEEN_LOOKS == 1 && is_unwanted()
+    };
+    for event in &trace.events {
         match *event {
             TraceEvent::Frame => {
                 readers = versions.iter().map(|version| cache.reader(version)).collect();
@@ -144,10 +146,16 @@ pub fn replay(
             TraceEvent::Row { version, page, row, fetches } => {
                 let reader = readers.get_mut(version as usize).ok_or_else(|| missing(version))?;
                 for _ in 0..fetches {
+                    if is_over() {
+                        return Ok(None);
+                    }
                     reader.texel(page, 0, row)?;
                 }
             }
             TraceEvent::Page { version, page } => {
+                if is_over() {
+                    return Ok(None);
+                }
                 let version = versions.get(version as usize).ok_or_else(|| missing(version))?;
                 cache.page(version, page)?;
             }
@@ -158,8 +166,8 @@ pub fn replay(
     Ok(Some((cache.snapshot(), nanos)))
 }
 
-// Of a replay: some milliseconds, if every one decodes a page.
-const EVENTS_BETWEEN_LOOKS: usize = 64;
+// Some milliseconds, if every one decodes a page.
+const REQUESTS_BETWEEN_LOOKS: u64 = 64;
 
 /// What is cached as one: a page, or a block of one. Version, page, block + 1.
 type Unit = (u32, u32, u32);

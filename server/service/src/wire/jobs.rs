@@ -2,7 +2,7 @@
 
 use lumisphere::geometry::Camera;
 use lumisphere::representations::offset_surface_light_field::Spacing;
-use lumisphere::textures::{ContentHash, PixelFormat};
+use lumisphere::textures::{Codec, ContentHash, PixelFormat};
 use prost::Message;
 
 use super::scenes::{SceneSource, scene_source};
@@ -52,6 +52,8 @@ pub struct CaptureSpec {
     pub sample_map_size_texels: u32,
     /// Of stored pages.
     pub pixel_format: PixelFormat,
+    /// Of the cube maps' pages.
+    pub codec: Codec,
     /// Of the random numbers.
     pub seed: u64,
 }
@@ -234,6 +236,14 @@ fn capture(m: proto::CaptureSpec, field: &str) -> Result<CaptureSpec, ApiError> 
         Ok(proto::PixelFormat::F32) => PixelFormat::F32,
         Err(_) => return Err(ApiError::field(at("pixel_format"), format!("{}, F16 or F32 expected", m.pixel_format))),
     };
+    let codec = match proto::Codec::try_from(m.codec) {
+        Ok(proto::Codec::Unspecified) => Codec::DEFAULT,
+        Ok(proto::Codec::ZstdChunk) => Codec::ZstdChunk,
+        Ok(proto::Codec::ZstdSeq) => Codec::ZstdSeq,
+        Ok(proto::Codec::LzwSeq) => Codec::LzwSeq,
+        Ok(proto::Codec::BitsChunk) => Codec::BitsChunk,
+        Err(_) => return Err(ApiError::field(at("codec"), format!("{}, a codec's number expected", m.codec))),
+    };
     Ok(CaptureSpec {
         scene: scene_source(m.scene.clone(), &at("scene"))?,
         scene_message: required(m.scene, &at("scene"))?,
@@ -246,6 +256,7 @@ fn capture(m: proto::CaptureSpec, field: &str) -> Result<CaptureSpec, ApiError> 
         max_bounces: count(m.max_bounces, 8, 1, 64, &at("max_bounces"))?,
         sample_map_size_texels: count(m.sample_map_size_texels, 256, 16, 1024, &at("sample_map_size_texels"))?,
         pixel_format,
+        codec,
         seed: m.seed,
     })
 }
@@ -445,7 +456,8 @@ mod tests {
     fn a_capture_has_the_documented_defaults() {
         let spec = capture(capture_message(), "c").unwrap();
         assert_eq!((spec.face_size_texels, spec.samples_per_texel, spec.max_bounces, spec.sample_map_size_texels), (128, 64, 8, 256));
-        assert_eq!((spec.epsilon, spec.spacing, spec.pixel_format), (None, Spacing::Count(1000), PixelFormat::F16));
+        assert_eq!((spec.epsilon, spec.spacing), (None, Spacing::Count(1000)));
+        assert_eq!((spec.pixel_format, spec.codec), (PixelFormat::F16, Codec::BitsChunk));
     }
 
     #[test]
@@ -460,6 +472,7 @@ mod tests {
         assert!(refused(|c| c.density = Some(proto::capture_spec::Density::SamplePoints(3))).contains("4 to 65534"));
         assert!(refused(|c| c.density = Some(proto::capture_spec::Density::Spacing(0.0))).starts_with("spec.capture.spacing: 0"));
         assert!(refused(|c| c.pixel_format = 5).starts_with("spec.capture.pixel_format: 5"));
+        assert!(refused(|c| c.codec = 9).starts_with("spec.capture.codec: 9"));
     }
 
     #[test]

@@ -15,7 +15,7 @@ pub struct ReplayPlan {
     pub strategies: Vec<ReadStrategy>,
     /// Which page leaves first.
     pub policies: Vec<PolicyKind>,
-    /// Of the caches, in pages; each at least 1.
+    /// Of the caches, in pages; 0 keeps nothing.
     pub sizes_pages: Vec<u32>,
     /// Of the trace.
     pub part: u32,
@@ -42,9 +42,6 @@ pub fn replay_plan(m: &proto::ReplaySettings) -> Result<ReplayPlan, ApiError> {
     for (k, value) in m.policies.iter().enumerate() {
         let field = named("policies", k);
         policies.push(policy(*value, &field)?.ok_or_else(|| missing(field))?);
-    }
-    if let Some(k) = m.sizes_pages.iter().position(|size| *size == 0) {
-        return Err(ApiError::field(named("sizes_pages", k), "0, at least 1 expected"));
     }
     let strategies = if strategies.is_empty() { ReadStrategy::ALL.to_vec() } else { strategies };
     let policies = if policies.is_empty() { PolicyKind::ALL.to_vec() } else { policies };
@@ -84,7 +81,6 @@ mod tests {
         assert_eq!(plan.cells().count(), ReadStrategy::ALL.len() * PolicyKind::ALL.len() * 2);
         let refused = |m: proto::ReplaySettings| replay_plan(&m).unwrap_err().to_string();
         assert!(refused(settings(vec![])).starts_with("settings.sizes_pages"));
-        assert!(refused(settings(vec![3, 0])).starts_with("settings.sizes_pages[1]"));
         assert!(refused(settings(vec![1; 11])).contains("1 to 256"));
         assert!(refused(proto::ReplaySettings { policies: vec![1, 0], ..settings(vec![1]) }).starts_with("settings.policies[1]"));
         assert!(refused(proto::ReplaySettings { strategies: vec![99], ..settings(vec![1]) }).starts_with("settings.strategies[0]"));

@@ -61,6 +61,7 @@ impl Work {
             face_size_texels: spec.face_size_texels,
             sample_map_size_texels: spec.sample_map_size_texels,
             pixel_format: spec.pixel_format,
+            codec: spec.codec,
             samples_per_texel: spec.samples_per_texel,
             max_bounces: spec.max_bounces,
             seed: spec.seed,

@@ -24,6 +24,25 @@ pub async fn measure(context: &Context, trace: &Trace, sizes_pages: &[u32], rows
             settings.policies.push(policy);
         }
     }
+    replay(context, trace, settings, |outcome| {
+        let cell = (strategy_name(outcome.strategy()), policy_name(outcome.policy()), outcome.size_pages);
+        let texels = outcome.texels.unwrap_or_default();
+        for row in rows.iter_mut().filter(|row| (row.strategy, row.policy, row.size_pages) == cell) {
+            row.millis = Some(1e-3 * outcome.micros as f64);
+            row.decode_millis = Some(1e-3 * (texels.read_micros + texels.decode_micros) as f64);
+            row.bytes_read = Some(texels.bytes_read);
+        }
+    })
+    .await
+}
+
+/// Replays what `settings` ask for, and says every outcome as it comes.
+pub async fn replay(
+    context: &Context,
+    trace: &Trace,
+    settings: wire::ReplaySettings,
+    mut tell: impl FnMut(&wire::ReplayOutcome),
+) -> anyhow::Result<()> {
     let bytes = trace.to_bytes();
     let chunks = bytes.chunks(MAX_CHUNK_BYTES).map(|chunk| Message::Trace(chunk.to_vec().into()));
     let messages: Vec<_> = [Message::Settings(settings)].into_iter().chain(chunks).collect();
@@ -33,13 +52,7 @@ pub async fn measure(context: &Context, trace: &Trace, sizes_pages: &[u32], rows
     let mut meter = Meter::new(context.output);
     while let Some(outcome) = outcomes.message().await? {
         meter.update(Progress { stage: "replaying", done: outcome.done.into(), total: outcome.total.into(), seconds_left: None });
-        let cell = (strategy_name(outcome.strategy()), policy_name(outcome.policy()), outcome.size_pages);
-        let texels = outcome.texels.unwrap_or_default();
-        for row in rows.iter_mut().filter(|row| (row.strategy, row.policy, row.size_pages) == cell) {
-            row.millis = Some(1e-3 * outcome.micros as f64);
-            row.decode_millis = Some(1e-3 * (texels.read_micros + texels.decode_micros) as f64);
-            row.bytes_read = Some(texels.bytes_read);
-        }
+        tell(&outcome);
     }
     meter.finish();
     Ok(())

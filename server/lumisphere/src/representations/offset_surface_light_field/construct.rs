@@ -9,7 +9,7 @@ use crate::capture::{CaptureError, Viewpoint, bake_background, coarser_levels, t
 use crate::progress::{Cancelled, Progress};
 use crate::raytrace::{Appearance, TraceError, TraceSettings, Tracer};
 use crate::scenes::{Object, Scene, Surface};
-use crate::textures::{PixelFormat, Staging, StoreError};
+use crate::textures::{Codec, PixelFormat, Staging, StoreError};
 
 /// What to capture and how. Lengths are in the scene's unit.
 #[derive(Debug, Clone, PartialEq)]
@@ -26,6 +26,8 @@ pub struct ConstructSettings {
     pub sample_map_size_texels: u32,
     /// How pages hold numbers.
     pub pixel_format: PixelFormat,
+    /// How pages are packed.
+    pub codec: Codec,
     /// Paths per texel.
     pub samples_per_texel: u32,
     /// 1 = direct light only.
@@ -122,7 +124,8 @@ pub fn construct(
     let without_object = tracer.without_object(index);
     let mut viewpoints: Vec<Viewpoint<'_>> = sample_points.iter().map(|p| Viewpoint { tracer: &tracer, position: p.position }).collect();
     viewpoints.push(Viewpoint { tracer: &without_object, position: center });
-    trace_cube_maps(&viewpoints, settings.face_size_texels, settings.pixel_format, &trace, staging, progress)?;
+    let format = (settings.codec, settings.pixel_format);
+    trace_cube_maps(&viewpoints, settings.face_size_texels, format, &trace, staging, progress)?;
 
     progress.report("building sample maps", 0, 1);
     let lift = 0.1 * epsilon;

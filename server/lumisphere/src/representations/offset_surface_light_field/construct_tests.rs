@@ -12,7 +12,7 @@ use crate::directions::FACES;
 use crate::geometry::TriangleMesh;
 use crate::progress::{Cancelled, Progress, Unattended};
 use crate::scenes::{Albedo, Environment, Material, Object, Scene, Surface};
-use crate::textures::{DatasetVersion, PageId, PixelFormat, Publication, Staging, Store, StoreOptions};
+use crate::textures::{Codec, DatasetVersion, PageId, PixelFormat, Publication, Staging, Store, StoreOptions};
 
 fn object(name: &str, mesh: TriangleMesh) -> Object {
     Object { name: name.into(), mesh, surface: Surface::Mesh, material: 0, emission: None }
@@ -68,6 +68,7 @@ fn settings() -> ConstructSettings {
         face_size_texels: 16,
         sample_map_size_texels: 16,
         pixel_format: PixelFormat::F32,
+        codec: Codec::DEFAULT,
         samples_per_texel: 4,
         max_bounces: 2,
         seed: 5,
