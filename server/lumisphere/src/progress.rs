@@ -21,6 +21,16 @@ impl Progress for Unattended {
     }
 }
 
+/// Passes cancellation on, and keeps the pieces of one piece to itself.
+pub(crate) struct Silent<'a>(pub &'a dyn Progress);
+
+impl Progress for Silent<'_> {
+    fn report(&self, _what: &str, _done: u64, _total: u64) {}
+    fn is_cancelled(&self) -> bool {
+        self.0.is_cancelled()
+    }
+}
+
 /// The work was asked to stop, and did, between two pieces.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("cancelled")]

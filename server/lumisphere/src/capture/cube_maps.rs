@@ -6,7 +6,7 @@ use thiserror::Error;
 
 use super::levels::{coarser_levels, halved, stacked};
 use crate::directions::{CubeMap, FACES};
-use crate::progress::{Cancelled, Progress};
+use crate::progress::{Cancelled, Progress, Silent};
 use crate::raytrace::{TraceSettings, Tracer};
 use crate::textures::{Codec, EncodedPage, Page, PageId, PageShape, PixelFormat, Staging, StoreError, encode_as};
 
@@ -90,14 +90,4 @@ fn encode_cube_map(map: &CubeMap, codec: Codec, shape: PageShape, levels: usize)
         pages.push(encode_as(codec, &level.shape(), &level.to_f32())?);
     }
     Ok(pages)
-}
-
-// Passes cancellation on and keeps the tracer's own tile counts to itself.
-struct Silent<'a>(&'a dyn Progress);
-
-impl Progress for Silent<'_> {
-    fn report(&self, _what: &str, _done: u64, _total: u64) {}
-    fn is_cancelled(&self) -> bool {
-        self.0.is_cancelled()
-    }
 }

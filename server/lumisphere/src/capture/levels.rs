@@ -39,6 +39,27 @@ fn mean(values: [f32; 4]) -> f32 {
     if count > 0.0 { sum / count } else { 0.0 }
 }
 
+/// Of what is stored, scene units: its inverse is far from overflow.
+const LEAST_DISTANCE: f32 = 1e-30;
+
+/// 1 / distance; 0 where nothing is seen. What is not at least [`LEAST_DISTANCE`] was not stored and counts as infinitely far.
+pub fn inverse_distance(distance: f32) -> f32 {
+    if (LEAST_DISTANCE..=f32::MAX).contains(&distance) { 1.0 / distance } else { 0.0 }
+}
+
+/// The fourth channel of a face, halved `levels` times: distances, of which the inverse is averaged (0 for what is infinitely far), since that is
+/// linear over a plane.
+pub fn halved_distances(face: &Page, levels: u32) -> Vec<f32> {
+    let (values, size, step) = (face.to_f32(), (face.shape().width >> levels) as usize, 1usize << levels);
+    let (row, texel) = (face.shape().row_values(), face.shape().channels as usize);
+    let inverse = |y: usize, x: usize| inverse_distance(values[y * row + x * texel + 3]);
+    let mean = |y: usize, x: usize| {
+        let all = (0..step * step).map(|k| inverse(y * step + k / step, x * step + k % step));
+        all.sum::<f32>() / (step * step) as f32
+    };
+    (0..size * size).map(|at| 1.0 / mean(at / size, at % size)).collect()
+}
+
 /// A page above another, of one width and format: what is below the first.
 pub fn stacked(faces: &[Page]) -> Result<Page, StoreError> {
     let shape = faces.first().map(Page::shape).ok_or_else(|| StoreError::InvalidPage { reason: "no faces".into() })?;

@@ -6,4 +6,4 @@ mod levels;
 
 pub use background::{Background, BackgroundSurface, bake_background};
 pub use cube_maps::{CaptureError, Viewpoint, trace_cube_maps};
-pub use levels::{coarser_levels, halved, stacked};
+pub use levels::{coarser_levels, halved, halved_distances, inverse_distance, stacked};

@@ -9,6 +9,7 @@ pub mod pareto;
 mod report;
 mod row;
 mod sweep;
+mod thin;
 mod truth;
 
 use thiserror::Error;
@@ -30,6 +31,7 @@ pub use metric::Metric;
 pub use report::{picture_path, report};
 pub use row::{PictureNames, Row};
 pub use sweep::{Conditions, Group, SWEEP_FORMAT, Sweep, SweepError, SweepRow, bytes_text};
+pub use thin::{ThinError, ThinMetric, ThinPlan, ThinReport, thin};
 pub use truth::{Truth, TruthRenderer, ViewTruth};
 
 /// What to measure.

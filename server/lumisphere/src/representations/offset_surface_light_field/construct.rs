@@ -146,6 +146,7 @@ pub fn construct(
         samples_per_texel: settings.samples_per_texel,
         max_bounces: settings.max_bounces,
         seed: settings.seed,
+        thinned_from: None,
     };
     let field = OffsetSurfaceLightField { parameters, surface, sample_points, sample_maps, background };
     for (name, bytes) in to_parts(&field)? {

@@ -12,6 +12,7 @@ use glam::Vec3;
 
 use super::shade::{BlendWeights, NOTHING, ReadCube, Shaded, Sight, blend_weights, blended, normalized, toward, toward_samples};
 use super::{Blend, NO_SAMPLE, OffsetSurfaceLightField};
+use crate::capture::inverse_distance;
 use crate::directions::DirectionDifferential;
 use crate::representations::RenderError;
 use crate::representations::provenance::Answer;
@@ -24,8 +25,6 @@ const REFINEMENTS: u32 = 5;
 const MOST_DISAGREEMENT: f32 = 0.1;
 /// Texels side by side that differ more show an edge: between them nothing is known.
 const MOST_STEEPNESS: f32 = 0.3;
-/// Of what is stored, scene units: its inverse is far from overflow.
-const LEAST_DISTANCE: f32 = 1e-30;
 const FALLBACK: Blend = Blend::Normal { exponent: 4.0 };
 
 /// Stored distances around a direction, inverted; 0 where nothing is seen.
@@ -40,10 +39,9 @@ pub(super) struct InverseDistances {
 }
 
 impl InverseDistances {
-    /// Of (distance, weight) of four texels; what is not above [`LEAST_DISTANCE`] was not stored and counts as infinitely far.
+    /// Of (distance, weight) of four texels.
     pub fn of(texels: [(f32, f32); 4]) -> Self {
-        let inverse =
-            texels.map(|(distance, weight)| (if (LEAST_DISTANCE..=f32::MAX).contains(&distance) { 1.0 / distance } else { 0.0 }, weight));
+        let inverse = texels.map(|(distance, weight)| (inverse_distance(distance), weight));
         Self {
             mean: inverse.iter().map(|(i, weight)| i * weight).sum(),
             least: inverse.iter().fold(f32::INFINITY, |least, (i, _)| least.min(*i)),

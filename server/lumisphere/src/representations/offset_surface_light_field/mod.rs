@@ -28,6 +28,7 @@ mod shade;
 mod storage;
 #[cfg(test)]
 pub(crate) mod tests;
+mod thinning;
 
 use std::sync::Arc;
 
@@ -50,6 +51,7 @@ pub use construct::{ConstructError, ConstructSettings, construct};
 pub(crate) use kernel::SOURCE as KERNEL_SOURCE;
 pub use sample_points::{PlacementError, Spacing, build_sample_maps, place_sample_points};
 pub use storage::{PartsError, from_parts, to_parts};
+pub use thinning::{Kept, PixelError, Thinning, ThinningError, ValidationPixel, ValidationView, copy_pages};
 
 /// Largest angle between a texel's normal and the direction to a sample point when sample maps are built.
 pub const CONSTRUCTION_HORIZON_DEG: f32 = 85.0;
@@ -108,6 +110,19 @@ pub struct Parameters {
     pub max_bounces: u32,
     /// Of the capture.
     pub seed: u64,
+    /// What it had before it was thinned; None for what was captured so.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub thinned_from: Option<ThinnedFrom>,
+}
+
+/// What a light field was thinned from.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ThinnedFrom {
+    /// Sample points that it had.
+    pub sample_points: u32,
+    /// Texels along a cube-map face.
+    pub face_size_texels: u32,
 }
 
 /// The object's triangles; each belongs to one *part*, one texture region with uv in [0, 1]² and its own sample map.

@@ -9,7 +9,7 @@ use super::corrected::InverseDistances;
 use super::requests::record_requests;
 use super::shade::{ReadCube, shade_object};
 use super::{OffsetSurfaceLightField, Settings};
-use crate::directions::bilinear_footprint;
+use crate::directions::{Texel, bilinear_footprint};
 use crate::geometry::Camera;
 use crate::raytrace::Stack;
 use crate::representations::buckets::{PixelResult, render_in_buckets};
@@ -121,6 +121,17 @@ impl<'a> PagedCubes<'a> {
         }
         let texels = self.reader.texels(at)?;
         Ok(std::array::from_fn(|k| (texels[k], footprint[k].1)))
+    }
+
+    /// The stored distances of texels of level 0.
+    pub fn distances(&mut self, cube: u32, texels: [Texel; 4]) -> Result<[f32; 4], RenderError> {
+        let mut at = [(PageId(0), 0, 0); 4];
+        for (at, texel) in at.iter_mut().zip(texels) {
+            let (page, row) = self.field.texel_place(cube, 0, texel);
+            self.check(page)?;
+            *at = (PageId(page), texel.column as u32, row);
+        }
+        Ok(self.reader.texels(at)?.map(|texel| texel[3]))
     }
 
     pub fn new(field: &'a OffsetSurfaceLightField, source: &'a CountingSource<'a>, touched: &'a PagesTouched) -> Self {

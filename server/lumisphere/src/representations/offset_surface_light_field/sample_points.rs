@@ -159,6 +159,17 @@ pub fn build_sample_maps(
 }
 
 fn best_four(texel: SamplePoint, points: &[SamplePoint], visible: &(dyn Fn(SamplePoint, Vec3) -> bool + Sync)) -> Option<[u16; 4]> {
+    let found = nearest_visible(texel, points, 4, visible);
+    (!found.is_empty()).then(|| std::array::from_fn(|k| found.get(k).copied().unwrap_or(NO_SAMPLE)))
+}
+
+/// The nearest `count` sample points, and fewer where fewer of the nearest 64 (or `count`) within 85° of the normal are `visible`.
+pub(super) fn nearest_visible(
+    texel: SamplePoint,
+    points: &[SamplePoint],
+    count: usize,
+    visible: &(dyn Fn(SamplePoint, Vec3) -> bool + Sync),
+) -> Vec<u16> {
     let cos_horizon = CONSTRUCTION_HORIZON_DEG.to_radians().cos();
     let mut near: Vec<(f32, u16)> = points
         .iter()
@@ -176,22 +187,20 @@ fn best_four(texel: SamplePoint, points: &[SamplePoint], visible: &(dyn Fn(Sampl
         near.select_nth_unstable_by(head - 1, by_distance);
     }
     near[..head].sort_unstable_by(by_distance);
-    let mut four = [NO_SAMPLE; 4];
-    let mut found = 0;
-    for k in 0..near.len().min(4 * head) {
+    let mut found = Vec::with_capacity(count);
+    for k in 0..near.len().min((4 * head).max(count)) {
         if k == head {
             near[head..].sort_unstable_by(by_distance);
         }
         let (_, i) = near[k];
         if visible(texel, points[usize::from(i)].position) {
-            four[found] = i;
-            found += 1;
-            if found == 4 {
+            found.push(i);
+            if found.len() == count {
                 break;
             }
         }
     }
-    (found > 0).then_some(four)
+    found
 }
 
 // Surface point and normal at each texel centre of `part`; None outside its triangles' uv.

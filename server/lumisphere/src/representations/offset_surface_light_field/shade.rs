@@ -85,9 +85,25 @@ pub(super) fn shade_object(
         Seen::ObjectBack { part } => (part, true),
         Seen::Background | Seen::Nothing | Seen::Unknown => unreachable!("only the object's pixels are shaded here"),
     };
+    let mut shaded = shade_from(field, settings, camera, (i, j), pixel, field.sample_maps.at(part, u, v), cubes)?;
+    if back {
+        shaded.provenance = Provenance::UNKNOWN;
+    }
+    Ok(shaded)
+}
+
+/// The same from any candidates.
+pub(super) fn shade_from(
+    field: &OffsetSurfaceLightField,
+    settings: &Settings,
+    camera: &Camera,
+    (i, j): (u32, u32),
+    pixel: &GBufferPixel,
+    candidates: [u16; 4],
+    cubes: &mut dyn ReadCube,
+) -> Result<Shaded, RenderError> {
     let (at, by) = sight(settings.filter, camera, (i, j), pixel);
-    let candidates = field.sample_maps.at(part, u, v);
-    let mut shaded = match settings.component {
+    Ok(match settings.component {
         Component::Reconstruction => reconstruct(field, settings, &at, &by, candidates, cubes)?,
         Component::Mirror => mirror(field, settings, &at, &by, candidates, cubes)?,
         Component::Full => {
@@ -99,11 +115,7 @@ pub(super) fn shade_object(
             let tangent = Vec3::from_slice(&pixel.tangent);
             glossy(field, settings, &gloss, &at, &by, tangent, candidates, cubes)?
         }
-    };
-    if back {
-        shaded.provenance = Provenance::UNKNOWN;
-    }
-    Ok(shaded)
+    })
 }
 
 /// What the camera sees at an object's pixel, and its derivatives by the pixel's column and row: none where reads are not filtered.

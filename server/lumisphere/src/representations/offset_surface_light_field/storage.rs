@@ -196,6 +196,7 @@ mod tests {
                 samples_per_texel: 1,
                 max_bounces: 1,
                 seed: 7,
+                thinned_from: None,
             },
             surface: SurfaceMesh { mesh: triangle(), part_of_triangle: vec![0], parts: 1 },
             sample_points: vec![SamplePoint { position: Vec3::Z, normal: Vec3::Z }],

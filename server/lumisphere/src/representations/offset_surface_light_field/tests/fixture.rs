@@ -162,6 +162,7 @@ impl World {
             samples_per_texel: 1,
             max_bounces: 1,
             seed: 0,
+            thinned_from: None,
         };
         let background = self.background();
         (OffsetSurfaceLightField { parameters, surface, sample_points, sample_maps, background }, MemoryPages(pages))
