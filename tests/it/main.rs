@@ -6,6 +6,7 @@ mod bad_input;
 mod cache;
 mod clients;
 mod command_line;
+mod counters;
 mod killed;
 mod main_flow;
 mod memory;

@@ -22,7 +22,7 @@ fn around(step: u64) -> wire::Camera {
 }
 
 /// Without one nothing is brought to it.
-fn has_adapter(server: &Server) -> bool {
+pub fn has_adapter(server: &Server) -> bool {
     let has = server.json(&["system", "info"])["adapter"] != "";
     assert!(has || std::env::var_os("REQUIRE_GPU").is_none(), "no adapter");
     has
