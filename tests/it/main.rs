@@ -7,6 +7,7 @@ mod cache;
 mod clients;
 mod command_line;
 mod counters;
+mod downloads;
 mod killed;
 mod main_flow;
 mod memory;
