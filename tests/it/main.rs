@@ -8,6 +8,7 @@ mod clients;
 mod command_line;
 mod counters;
 mod downloads;
+mod environments;
 mod killed;
 mod main_flow;
 mod memory;
