@@ -10,6 +10,7 @@ mod counters;
 mod downloads;
 mod environments;
 mod killed;
+mod load;
 mod main_flow;
 mod memory;
 mod prefetch;
