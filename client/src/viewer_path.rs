@@ -91,17 +91,18 @@ mod tests {
     use super::*;
     use crate::cameras::Size;
 
+    const ORBIT: OrbitFlags = OrbitFlags {
+        frames: 36,
+        size: Size { width_px: 64, height_px: 48 },
+        vfov_deg: 40.0,
+        elevation_deg: 25.0,
+        distance_radii: 3.5,
+        azimuth_deg: 0.0,
+    };
+
     fn places(kind: PathKind, viewer: u32) -> Vec<Place> {
-        let orbit = OrbitFlags {
-            frames: 36,
-            size: Size { width_px: 64, height_px: 48 },
-            vfov_deg: 40.0,
-            elevation_deg: 25.0,
-            distance_radii: 3.5,
-            azimuth_deg: 0.0,
-        };
         let bounds = wire::Box3::default();
-        let paths = ViewerPaths { kind, orbit: &orbit, bounds, viewers: 4, cameras: &[], seed: 7 };
+        let paths = ViewerPaths { kind, orbit: &ORBIT, bounds, viewers: 4, cameras: &[], seed: 7 };
         (0..200).map(|step| paths.place(viewer, step)).collect()
     }
 
@@ -116,6 +117,19 @@ mod tests {
         assert_eq!(first[0], first[36]);
         assert!((longest_step(&first) - 10.0).abs() < 1e-3);
         assert_eq!(places(PathKind::Orbit, 1)[0].azimuth_deg, 90.0);
+    }
+
+    #[test]
+    fn replayed_cameras_come_over_and_over_each_viewer_one_ahead() {
+        let camera = |width_px| {
+            let intrinsics = wire::Intrinsics { width_px, ..Default::default() };
+            (format!("{width_px} wide"), wire::Camera { intrinsics: Some(intrinsics), pose: None })
+        };
+        let cameras = [camera(1), camera(2), camera(3)];
+        let bounds = wire::Box3::default();
+        let paths = ViewerPaths { kind: PathKind::Replayed, orbit: &ORBIT, bounds, viewers: 2, cameras: &cameras, seed: 7 };
+        let widths = |viewer| (0..4).map(|step| paths.camera(viewer, step).unwrap().intrinsics.unwrap().width_px).collect::<Vec<_>>();
+        assert_eq!((widths(0), widths(1)), (vec![1, 2, 3, 1], vec![2, 3, 1, 2]));
     }
 
     #[test]

@@ -195,17 +195,46 @@ pub struct Timings {
     pub encode: u64,
 }
 
-/// What the texture cache did for a frame.
+/// What the texture cache did for a frame. Fields are the wire's.
 #[derive(Debug, Serialize)]
 pub struct CacheUse {
-    /// Pages asked for.
+    /// Pages or texels asked for.
     pub look_ups: u64,
     /// Found in memory.
     pub hits: u64,
-    /// Read from disk.
+    /// Not in memory.
     pub misses: u64,
     /// From disk.
     pub read_bytes: u64,
+    texel_fetches: u64,
+    texel_misses: u64,
+    page_visits: u64,
+    visit_misses: u64,
+    coalesced: u64,
+    blocks_read: u64,
+    rows_decoded: u64,
+    bytes_decoded: u64,
+    rows_redundant: u64,
+    bytes_redundant: u64,
+    read_micros: u64,
+    decode_micros: u64,
+    /// null on the CPU.
+    adapter: Option<AdapterCacheUse>,
+}
+
+/// What the cache's tier on the adapter did for a frame. Fields are the wire's.
+#[derive(Debug, Serialize)]
+struct AdapterCacheUse {
+    look_ups: u64,
+    hits: u64,
+    misses: u64,
+    uploads: u64,
+    bytes_uploaded: u64,
+    evictions: u64,
+    prefetch_used: u64,
+    prefetch_wasted: u64,
+    passes: u32,
+    upload_micros: u64,
 }
 
 fn time(timestamp: Option<Timestamp>) -> Option<String> {
@@ -219,6 +248,47 @@ fn parsed(json: &str) -> Value {
 fn corner(v: Option<wire::Vector3>) -> [f32; 3] {
     let v = v.unwrap_or_default();
     [v.x, v.y, v.z]
+}
+
+impl From<wire::FrameCacheUse> for CacheUse {
+    fn from(c: wire::FrameCacheUse) -> Self {
+        Self {
+            look_ups: c.look_ups,
+            hits: c.hits,
+            misses: c.misses,
+            read_bytes: c.read_bytes,
+            texel_fetches: c.texel_fetches,
+            texel_misses: c.texel_misses,
+            page_visits: c.page_visits,
+            visit_misses: c.visit_misses,
+            coalesced: c.coalesced,
+            blocks_read: c.blocks_read,
+            rows_decoded: c.rows_decoded,
+            bytes_decoded: c.bytes_decoded,
+            rows_redundant: c.rows_redundant,
+            bytes_redundant: c.bytes_redundant,
+            read_micros: c.read_micros,
+            decode_micros: c.decode_micros,
+            adapter: c.adapter.map(AdapterCacheUse::from),
+        }
+    }
+}
+
+impl From<wire::AdapterCacheUse> for AdapterCacheUse {
+    fn from(a: wire::AdapterCacheUse) -> Self {
+        Self {
+            look_ups: a.look_ups,
+            hits: a.hits,
+            misses: a.misses,
+            uploads: a.uploads,
+            bytes_uploaded: a.bytes_uploaded,
+            evictions: a.evictions,
+            prefetch_used: a.prefetch_used,
+            prefetch_wasted: a.prefetch_wasted,
+            passes: a.passes,
+            upload_micros: a.upload_micros,
+        }
+    }
 }
 
 impl From<wire::Dataset> for Dataset {

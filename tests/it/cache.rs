@@ -8,7 +8,7 @@ use tonic::Code;
 use wire::cache_client::CacheClient;
 
 use crate::process::{Server, temporary_folder};
-use crate::tiny::{self, DATASET};
+use crate::tiny::{self, DATASET, QUICK};
 use crate::wire::{code_and_reason, frame_request};
 
 fn tier<'a>(stats: &'a Value, name: &str) -> &'a Value {
@@ -61,6 +61,39 @@ fn every_strategy_policy_and_budget_gives_the_same_pixels_and_counters_that_add_
     }
     let cleared = server.json(&["cache", "clear", "--reset-counters"]);
     assert_eq!((count(&tier(&cleared, "memory")["used_bytes"]), count(&tier(&cleared, "memory")["look_ups"])), (0, 0));
+}
+
+#[test]
+fn the_compressed_tier_and_one_datasets_strategy_change_alone() {
+    let folder = temporary_folder();
+    let server = Server::start(&folder.path().join("data"));
+    tiny::capture(&server, folder.path());
+    tiny::capture_with(&server, folder.path(), "second", &QUICK);
+    let out = folder.path().join("out");
+    // The second one is told once it has been asked for, as the first is.
+    for dataset in [DATASET, "second"] {
+        let flags = ["--out", out.to_str().unwrap(), "--format", "raw", "--frames", "1", "--size", "16x12", "--backend", "cpu", "--force"];
+        server.succeed(&[&["render", "--dataset", dataset], &flags[..]].concat());
+    }
+    let before = server.json(&["cache", "stats"]);
+    let setting = |stats: &Value, name: &str| (tier(stats, name)["policy"].clone(), tier(stats, name)["budget_bytes"].clone());
+    let strategies = |stats: &Value| {
+        let of = |name: &str| stats["datasets"].as_array().unwrap().iter().find(|d| d["dataset"] == name).unwrap()["strategy"].clone();
+        [of(DATASET), of("second"), stats["strategy"].clone()]
+    };
+
+    server.json(&["cache", "configure", "--compressed-policy", "clock", "--compressed-budget-bytes", "123456"]);
+    let now = server.json(&["cache", "stats"]);
+    assert_eq!(setting(&now, "compressed"), ("clock".into(), 123_456.into()));
+    assert_eq!(setting(&now, "memory"), setting(&before, "memory"));
+    assert_eq!(strategies(&now), strategies(&before));
+
+    server.json(&["cache", "configure", "--strategy", "on_demand_restart", "--dataset", DATASET]);
+    let now = server.json(&["cache", "stats"]);
+    let [_, of_second, of_others] = strategies(&before);
+    assert_ne!(of_second, "on_demand_restart");
+    assert_eq!(strategies(&now), ["on_demand_restart".into(), of_second, of_others]);
+    assert_eq!(setting(&now, "compressed"), ("clock".into(), 123_456.into()));
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -5,6 +5,7 @@ use std::process::{Command, Stdio};
 
 use serde_json::Value;
 
+use crate::killed::SLOW;
 use crate::process::{Server, binary, temporary_folder};
 use crate::tiny::{self, DATASET, QUICK};
 
@@ -179,4 +180,29 @@ fn every_command_of_the_command_line_answers_in_json() {
         ["job", "submit", "capture", "--scene", scene.to_str().unwrap(), "--object", "box", "--dataset", "twice", "--request-id", "one"];
     let first = server.json(&[&submit[..], &QUICK].concat());
     assert_eq!(server.json(&[&submit[..], &QUICK].concat())["name"], first["name"]);
+}
+
+#[test]
+fn completion_scripts_know_the_nouns_of_every_shell() {
+    for shell in ["bash", "zsh", "fish"] {
+        let output = Command::new(binary("lumisphere")).args(["completions", shell]).output().unwrap();
+        assert_eq!(output.status.code(), Some(0), "{shell}");
+        assert!(String::from_utf8_lossy(&output.stdout).contains("dataset"), "{shell}: no noun in the script");
+    }
+}
+
+#[test]
+fn progress_goes_to_standard_error_and_json_alone_to_standard_output() {
+    let folder = temporary_folder();
+    let server = Server::start(&folder.path().join("data"));
+    let scene = tiny::write_scene(&folder.path().join("scene"));
+    let submit = ["job", "submit", "capture", "--scene", scene.to_str().unwrap(), "--object", "box", "--dataset", DATASET];
+    let output = server.lumisphere(&[&submit[..], &["--watch", "--json"], &SLOW].concat());
+    let (result, talk) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+    let job: Value = serde_json::from_str(&result).unwrap_or_else(|e| panic!("{e} in {result}"));
+    assert_eq!(job["state"], "SUCCEEDED");
+    // Where there is no terminal: lines, of the upload and then of the job.
+    assert!(talk.contains("\nuploading "), "no upload in {talk:?}");
+    let of_job = talk.split("submitted job-000001\n").nth(1);
+    assert!(of_job.is_some_and(|lines| lines.lines().any(|line| line.contains(": "))), "no progress of the job in {talk:?}");
 }

@@ -14,7 +14,7 @@ use crate::tiny::{self, DATASET};
 use crate::wire::{code_and_reason, frame_request};
 
 /// Long enough to be killed in the middle, short enough for a test.
-const SLOW: [&str; 10] =
+pub const SLOW: [&str; 10] =
     ["--points", "120", "--face-size-texels", "32", "--samples-per-texel", "16", "--max-bounces", "2", "--sample-map-size-texels", "32"];
 
 fn content_hashes(server: &Server, dataset: &str) -> Vec<String> {
@@ -53,13 +53,24 @@ async fn a_capture_that_is_killed_at_every_stage_publishes_the_same_bytes_once()
     let expected = content_hashes(&whole, DATASET);
     drop(whole);
 
-    let data = folder.path().join("killed");
-    let mut server = Server::start(&data);
-    let name = submit_slow(&server, folder.path());
+    // Publishing is over in a moment, which a watcher may miss: then the capture is made once more.
+    let mut seen = Vec::new();
+    for round in 0..5 {
+        seen = killed_at_every_stage(folder.path(), &folder.path().join(format!("killed{round}")), &expected).await;
+        assert!(seen.iter().any(|stage| stage == "tracing cube maps half"), "killed only at {seen:?}");
+        if seen.iter().any(|stage| stage == "publishing") {
+            return;
+        }
+    }
+    panic!("never killed while it published, only at {seen:?}");
+}
+
+/// Captures into `data`, killing the server at each stage when it is first seen, and at a long one once more in its middle. The stages.
+async fn killed_at_every_stage(folder: &Path, data: &Path, expected: &[String]) -> Vec<String> {
+    let mut server = Server::start(data);
+    let name = submit_slow(&server, folder);
     let mut seen: Vec<String> = Vec::new();
-    let mut kills = 0;
     loop {
-        // Each stage is killed when it is first seen, and the long one once more in its middle.
         let is_new = |job: &wire::Job| {
             let progress = job.progress.clone().unwrap_or_default();
             let half = format!("{} half", progress.stage);
@@ -69,26 +80,25 @@ async fn a_capture_that_is_killed_at_every_stage_publishes_the_same_bytes_once()
         let job = follow_until(&server, &name, is_new).await;
         if job.state() != JobState::Running {
             assert_eq!(job.state(), JobState::Succeeded, "{job:?}");
-            assert_eq!(job.attempt, kills + 1);
+            assert_eq!(job.attempt as usize, seen.len() + 1);
             break;
         }
         let stage = job.progress.unwrap().stage;
         let label = if seen.contains(&stage) { format!("{stage} half") } else { stage };
         seen.push(label);
         server.kill();
-        kills += 1;
-        server = Server::start(&data);
+        server = Server::start(data);
         let listed = server.json(&["dataset", "list"]);
         for dataset in listed["datasets"].as_array().unwrap() {
             let version = dataset["latest_version"].as_u64().unwrap();
             assert!(version == 0 || content_hashes(&server, DATASET) == expected, "a half-written version is visible: {listed:#}");
         }
     }
-    assert!(kills >= 2, "the capture was killed only {kills} times, at {seen:?}");
     let dataset = server.json(&["dataset", "get", DATASET]);
     assert_eq!(dataset["versions"].as_array().unwrap().len(), 1, "{dataset:#}");
     assert_eq!(content_hashes(&server, DATASET), expected, "killed at {seen:?}");
     server.rendering().await.render_frame(frame_request(DATASET)).await.unwrap();
+    seen
 }
 
 fn files_below(folder: &Path) -> Vec<PathBuf> {

@@ -1,9 +1,11 @@
 //! Pages brought ahead of a moving viewer's next frame, through the real server.
 
+use std::cell::Cell;
 use std::time::Instant;
 
 use lumisphere_proto::v1alpha1 as wire;
 use serde_json::Value;
+use wire::cache_client::CacheClient;
 use wire::interact_request::Message as Up;
 use wire::offset_surface_light_field_settings::{Blend, Component, Filter};
 use wire::render_settings::Representation;
@@ -22,7 +24,7 @@ fn around(step: u64) -> wire::Camera {
 }
 
 /// Without one nothing is brought to it.
-fn has_adapter(server: &Server) -> bool {
+pub fn has_adapter(server: &Server) -> bool {
     let has = server.json(&["system", "info"])["adapter"] != "";
     assert!(has || std::env::var_os("REQUIRE_GPU").is_none(), "no adapter");
     has
@@ -56,8 +58,18 @@ fn wait_for_looks(server: &Server, looks: u64) {
 
 /// The frames of the path, each asked for once the one before has come and `between(frames so far)` has passed.
 async fn walk(viewer: &mut Viewer, cameras: impl Iterator<Item = wire::Camera>, between: impl Fn(u64)) -> Vec<bytes::Bytes> {
+    walk_from(1, viewer, cameras, between).await
+}
+
+/// The same for a viewer that has walked before.
+async fn walk_from(
+    first_pose_id: u64,
+    viewer: &mut Viewer,
+    cameras: impl Iterator<Item = wire::Camera>,
+    between: impl Fn(u64),
+) -> Vec<bytes::Bytes> {
     let mut colors = Vec::new();
-    for (pose_id, camera) in (1..).zip(cameras) {
+    for (pose_id, camera) in (first_pose_id..).zip(cameras) {
         viewer.pose(pose_id, camera).await;
         let frame = viewer.frame().await;
         assert_eq!((frame.pose_id, frame.is_final), (pose_id, true));
@@ -117,6 +129,59 @@ async fn two_viewers_at_once_are_served_while_pages_are_brought_ahead() {
     let tier = gpu(&server);
     assert_eq!(count(&tier, "look_ups"), count(&tier, "hits") + count(&tier, "misses"), "{tier:#}");
     assert!(count(&tier, "prefetch_used") + count(&tier, "prefetch_wasted") <= count(&tier, "prefetched"), "{tier:#}");
+}
+
+/// Between no room at all and the budget as it was, and emptied each time; without end.
+async fn upset(mut cache: CacheClient<tonic::transport::Channel>, budget: u64, rounds: &Cell<u32>) {
+    let size = |bytes| wire::ConfigureCacheRequest { gpu_budget_bytes: Some(bytes), ..Default::default() };
+    loop {
+        for bytes in [1, budget, budget / 2, budget] {
+            cache.configure_cache(size(bytes)).await.unwrap();
+            cache.clear_cache(wire::ClearCacheRequest { reset_counters: false }).await.unwrap();
+        }
+        rounds.set(rounds.get() + 1);
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_viewer_goes_on_while_the_adapters_tier_is_cleared_and_shrunk() {
+    let folder = temporary_folder();
+    let server = Server::start(&folder.path().join("data"));
+    tiny::capture(&server, folder.path());
+    if !has_adapter(&server) {
+        return;
+    }
+    let path = || (0..STEPS).map(around);
+    let undisturbed = walk(&mut Viewer::open_with(&server, 1, mirror()).await, path(), |_| {}).await;
+    let budget = count(&gpu(&server), "budget_bytes");
+
+    let mut viewer = Viewer::open_with(&server, 1, mirror()).await;
+    let (cache, rounds) = (CacheClient::new(server.channel().await), Cell::new(0));
+    // Again and again, until the tier has been emptied and shrunk under it a few times. Meanwhile the CPU may have drawn some of it.
+    let walked = async {
+        let mut first_pose_id = 1;
+        while rounds.get() < 3 {
+            walk_from(first_pose_id, &mut viewer, path(), |_| {}).await;
+            first_pose_id += STEPS;
+        }
+        first_pose_id
+    };
+    let first_pose_id = tokio::select! {
+        first_pose_id = walked => first_pose_id,
+        () = upset(cache, budget, &rounds) => unreachable!("it has no end"),
+    };
+
+    // In peace: the first time after what was left of that, the second time after it was shrunk to nothing.
+    for pose_id in [first_pose_id, first_pose_id + STEPS] {
+        server.json(&["cache", "configure", "--gpu-budget-bytes", &budget.to_string()]);
+        let afterwards = walk_from(pose_id, &mut viewer, path(), |_| {}).await;
+        assert!(afterwards == undisturbed, "other frames than before");
+        assert!(count(&gpu(&server), "used_bytes") > 0);
+        server.json(&["cache", "configure", "--gpu-budget-bytes", "1"]);
+        assert_eq!(count(&gpu(&server), "used_bytes"), 0);
+    }
+    let tier = gpu(&server);
+    assert_eq!(count(&tier, "look_ups"), count(&tier, "hits") + count(&tier, "misses"), "{tier:#}");
 }
 
 #[tokio::test(flavor = "multi_thread")]

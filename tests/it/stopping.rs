@@ -11,6 +11,7 @@ use tonic_health::pb::health_client::HealthClient;
 use tonic_health::pb::{HealthCheckRequest, HealthCheckResponse};
 
 use crate::process::{PATIENCE, Server, temporary_folder};
+use crate::system::get;
 
 /// A stream that has no end of its own; its first message is read.
 async fn watched(server: &Server) -> Streaming<HealthCheckResponse> {
@@ -34,6 +35,11 @@ async fn load_balancers_are_told_first_then_streams_have_their_grace_then_they_a
     let asked = Instant::now();
     server.terminate();
     assert_eq!(changes.message().await.unwrap().unwrap().status(), ServingStatus::NotServing);
+    // It takes no new work, and lives: whoever asks does not restart it.
+    for (path, code) in [("/readyz", " 503 "), ("/healthz", " 200 ")] {
+        let status = tokio::task::block_in_place(|| get(&server.http, path)).0;
+        assert!(status.contains(code), "{path}: {status}");
+    }
     let status = tokio::task::block_in_place(|| server.ended());
     assert_eq!(status.code(), Some(0), "{}", server.log_text());
     assert!(asked.elapsed() >= Duration::from_secs(1), "clients had no grace");

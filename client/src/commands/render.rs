@@ -207,7 +207,7 @@ fn status_error(status: wire::InteractStatus) -> Status {
 }
 
 fn frame_view(index: usize, camera: &str, file: String, frame: &wire::Frame, round_trip: Duration) -> views::Frame {
-    let (t, c) = (frame.timings.unwrap_or_default(), frame.cache.unwrap_or_default());
+    let t = frame.timings.unwrap_or_default();
     views::Frame {
         index,
         camera: camera.into(),
@@ -221,7 +221,7 @@ fn frame_view(index: usize, camera: &str, file: String, frame: &wire::Frame, rou
         is_final: frame.is_final,
         round_trip_millis: 1e3 * round_trip.as_secs_f64(),
         timings_micros: views::Timings { queue: t.queue_micros, pages: t.pages_micros, render: t.render_micros, encode: t.encode_micros },
-        cache: views::CacheUse { look_ups: c.look_ups, hits: c.hits, misses: c.misses, read_bytes: c.read_bytes },
+        cache: frame.cache.unwrap_or_default().into(),
     }
 }
 

@@ -13,11 +13,12 @@ use crate::api::blocking;
 use crate::catalog::OpenedVersion;
 use crate::config::BackendChoice;
 use crate::errors::{ApiError, Reason};
+use crate::frame_use::{AdapterUse, FramePages};
 use crate::prefetch::Expected;
 use crate::render_queue::{Priority, QueueError, RenderQueue, Rendered};
 use crate::telemetry::Metrics;
 use crate::wire::cache::GpuTier;
-use crate::wire::frames::EncodedFrame;
+use crate::wire::frames::{EncodedFrame, cache_use};
 use crate::wire::settings::{Encoding, Output, RenderSettings};
 use crate::wire::{MAX_FRAME_MESSAGE_BYTES, proto};
 
@@ -50,6 +51,16 @@ pub struct FrameOrder {
     pub opening_micros: u64,
     /// Whether it may be shown before all its pages are on the adapter.
     pub refine: Refine,
+}
+
+/// A frame and its account.
+pub struct Drawn {
+    /// The pixels themselves.
+    pub frame: Frame,
+    /// What computed them; None on the CPU.
+    adapter: Option<String>,
+    /// What the cache did for it.
+    cache: proto::FrameCacheUse,
 }
 
 impl Frames {
@@ -109,11 +120,11 @@ impl Frames {
         deadline: Option<tokio::time::Instant>,
     ) -> Result<EncodedFrame, ApiError> {
         let (output, camera, opening_micros) = (order.output, order.camera, order.opening_micros);
-        let (rendered, adapter) = self.render(order, who, deadline).await?;
+        let rendered = self.render(order, who, deadline).await?;
         let metrics = self.metrics.clone();
         blocking(move || {
             let Rendered { value, queued, slot, admitted } = rendered;
-            let encoded = encode(value, camera, output, adapter, opening_micros, queued.as_micros() as u64)?;
+            let encoded = encode(value, camera, output, opening_micros, queued.as_micros() as u64)?;
             drop((slot, admitted));
             observe(&metrics, &encoded.timings);
             Ok(encoded)
@@ -121,13 +132,13 @@ impl Frames {
         .await
     }
 
-    /// The pixels themselves, and the adapter that computed them.
+    /// The pixels, not encoded.
     pub async fn render(
         &self,
         order: FrameOrder,
         who: Priority,
         deadline: Option<tokio::time::Instant>,
-    ) -> Result<(Rendered<Frame>, Option<String>), ApiError> {
+    ) -> Result<Rendered<Drawn>, ApiError> {
         let gpu = self.gpu.clone();
         let work = move |renderer: &mut Renderer| {
             let outputs = Outputs { depth: order.output.depth, provenance: order.output.provenance };
@@ -137,15 +148,19 @@ impl Frames {
                 BackendChoice::Gpu => Some(Backend::Gpu),
                 BackendChoice::Cpu => Some(Backend::Cpu),
             };
-            let rendered = renderer.render(&order.version.representation, &order.version.pages, &request, backend);
+            let pages = FramePages::new(&order.version.pages);
+            let before = renderer.gpu_stats().unwrap_or_default();
+            let rendered = renderer.render(&order.version.representation, &pages, &request, backend);
             note_gpu_tier(&gpu, renderer);
             let frame = rendered?;
+            let after = renderer.gpu_stats().unwrap_or_default();
+            let adapter_use = frame.stats.gpu.map(|frame| AdapterUse { before, after, frame });
+            let cache = cache_use(&pages.asked(), adapter_use.as_ref());
             let adapter = (frame.stats.backend == Backend::Gpu).then(|| renderer.adapter().unwrap_or_default().to_string());
-            Ok::<_, RenderError>((frame, adapter))
+            Ok::<_, RenderError>(Drawn { frame, adapter, cache })
         };
         let Rendered { value, queued, slot, admitted } = self.queue.run(who, deadline, work).await.map_err(|e| self.refused(e))?;
-        let (frame, adapter) = value?;
-        Ok((Rendered { value: frame, queued, slot, admitted }, adapter))
+        Ok(Rendered { value: value?, queued, slot, admitted })
     }
 
     fn refused(&self, error: QueueError) -> ApiError {
@@ -186,14 +201,8 @@ fn observe(metrics: &Metrics, timings: &proto::FrameTimings) {
     metrics.frame_stage("encode", timings.encode_micros);
 }
 
-fn encode(
-    frame: Frame,
-    camera: Camera,
-    output: Output,
-    adapter: Option<String>,
-    opening_micros: u64,
-    queue_micros: u64,
-) -> Result<EncodedFrame, ApiError> {
+fn encode(drawn: Drawn, camera: Camera, output: Output, opening_micros: u64, queue_micros: u64) -> Result<EncodedFrame, ApiError> {
+    let Drawn { frame, adapter, cache } = drawn;
     let begun = Instant::now();
     let color = encode_color(&frame, output.encoding)?;
     let depth = frame.pixels.depth.as_deref().map_or(Ok(Bytes::new()), |d| compressed(d.iter().map(|v| v.to_le_bytes())))?;
@@ -208,7 +217,6 @@ fn encode(
     }
     let stats = &frame.stats;
     let prepare_micros = (1e3 * stats.prepare_millis) as u64;
-    let pages = &stats.page_use;
     Ok(EncodedFrame {
         camera,
         encoding: output.encoding,
@@ -221,12 +229,7 @@ fn encode(
             render_micros: ((1e3 * stats.total_millis) as u64).saturating_sub(prepare_micros),
             encode_micros: begun.elapsed().as_micros() as u64,
         },
-        cache: proto::FrameCacheUse {
-            look_ups: pages.hits + pages.misses,
-            hits: pages.hits,
-            misses: pages.misses,
-            read_bytes: pages.bytes_read,
-        },
+        cache,
         adapter,
         is_final: frame.pixels.is_final,
     })

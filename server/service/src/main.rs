@@ -6,6 +6,7 @@ mod api;
 mod catalog;
 mod config;
 mod errors;
+mod frame_use;
 mod frames;
 mod jobs;
 mod prefetch;

@@ -73,17 +73,26 @@ const TIER_COUNTS: [(&str, &str); 11] = [
 ];
 
 /// Instruments of a dataset version; events since start or the last reset.
-const DATASET_COUNTS: [(&str, &str); 10] = [
+const DATASET_COUNTS: [(&str, &str); 19] = [
+    ("texture_look_ups", "Requests for whole pages or for texels"),
+    ("texture_hits", "Of those, found in memory"),
+    ("texture_misses", "Of those, in which something was missing"),
     ("texture_texel_fetches", "Texels fetched"),
     ("texture_texel_misses", "Of those, that had to read or wait"),
     ("texture_page_visits", "Times a reader turned to another page"),
     ("texture_visit_misses", "Of those, in which something was missing"),
+    ("texture_coalesced", "Misses answered by the read of another"),
     ("texture_blocks_read", "Compressed blocks read"),
     ("texture_bytes_read", "Bytes read from disk"),
     ("texture_rows_decoded", "Rows decoded"),
-    ("texture_rows_redundant", "Of those, decoded before"),
+    ("texture_bytes_decoded", "Bytes of those rows"),
+    ("texture_rows_redundant", "Rows decoded that had been decoded before"),
+    ("texture_bytes_redundant", "Bytes of those rows"),
+    ("texture_read_micros", "Reading, microseconds summed over readers"),
     ("texture_decode_micros", "Checking and unpacking, microseconds summed over readers"),
     ("texture_wait_micros", "Waiting for another's read, microseconds summed over readers"),
+    ("texture_bytes", "Bytes held in memory"),
+    ("texture_evictions", "Pages and blocks dropped from memory"),
 ];
 
 /// Every instrument of the server. Counts of others (cache, jobs) are copied in when scraped.
@@ -313,7 +322,7 @@ mod tests {
         metrics.frame_stage("render", 12_000);
         metrics.frames.inc();
         metrics.cache_tier("memory", [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11]);
-        metrics.cache_dataset("teapot", 3, [1, 2, 3, 4, 5, 6, 7, 8, 9, 10]);
+        metrics.cache_dataset("teapot", 3, std::array::from_fn(|i| i as u64 + 1));
         let measure = |path: &str, code: Option<&str>| {
             drop(Measure { metrics: metrics.clone(), path: path.into(), begun: Instant::now(), code: code.map(String::from) });
         };
@@ -323,7 +332,7 @@ mod tests {
         let text = metrics.encode().unwrap();
         assert!(text.contains("lumisphere_render_frames_total 1"), "{text}");
         assert!(text.contains("lumisphere_cache_hits{tier=\"memory\"} 2"), "{text}");
-        assert!(text.contains("lumisphere_texture_texel_misses{dataset=\"teapot\",version=\"3\"} 2"), "{text}");
+        assert!(text.contains("lumisphere_texture_texel_misses{dataset=\"teapot\",version=\"3\"} 5"), "{text}");
         assert!(text.contains("lumisphere_render_frame_seconds_bucket{le=\"0.02\",stage=\"render\"} 1"), "{text}");
         assert!(
             text.contains("lumisphere_rpc_server_call_duration_seconds_count{method=\"lumisphere.v1alpha1.Jobs/GetJob\",code=\"5\"} 1"),

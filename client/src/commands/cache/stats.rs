@@ -66,6 +66,7 @@ fn dataset(d: &wire::DatasetCacheStats) -> Value {
         "strategy": strategy_name(d.strategy()),
         "used_bytes": d.used_bytes,
         "entries": d.entries,
+        "evictions": d.evictions,
         "texels": texels(&d.texels.unwrap_or_default()),
     })
 }

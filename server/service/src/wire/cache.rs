@@ -174,6 +174,7 @@ pub fn cache_stats(
             texels: Some(texel_stats(&v.decoded, &before)),
             used_bytes: v.decoded.resident_bytes,
             entries: v.decoded.resident_pages,
+            evictions: v.decoded.evictions.saturating_sub(before.evictions),
         }
     });
     let mut tiers = vec![
@@ -200,19 +201,28 @@ pub fn tier_counts(t: &proto::CacheTierStats) -> [u64; 11] {
 }
 
 /// In the order of the dataset's instruments.
-pub fn dataset_counts(d: &proto::DatasetCacheStats) -> [u64; 10] {
+pub fn dataset_counts(d: &proto::DatasetCacheStats) -> [u64; 19] {
     let t = d.texels.unwrap_or_default();
     [
+        t.look_ups,
+        t.look_ups.saturating_sub(t.misses),
+        t.misses,
         t.texel_fetches,
         t.texel_misses,
         t.page_visits,
         t.visit_misses,
+        t.coalesced,
         t.blocks_read,
         t.bytes_read,
         t.rows_decoded,
+        t.bytes_decoded,
         t.rows_redundant,
+        t.bytes_redundant,
+        t.read_micros,
         t.decode_micros,
         t.wait_micros,
+        d.used_bytes,
+        d.evictions,
     ]
 }
 

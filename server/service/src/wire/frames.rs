@@ -2,10 +2,13 @@
 
 use bytes::Bytes;
 use lumisphere::geometry::Camera;
+use lumisphere::gpu::GpuCacheStats;
+use lumisphere::textures::CacheStats;
 
 use super::camera::camera_message;
 use super::proto;
 use super::settings::{Encoding, encoding_number};
+use crate::frame_use::AdapterUse;
 
 /// An encoded frame and its account.
 #[derive(Debug, Clone)]
@@ -41,6 +44,46 @@ pub struct FrameIdentity {
     pub dataset: String,
     /// Which.
     pub dataset_version: u64,
+}
+
+/// What a frame asked of the cache.
+pub fn cache_use(asked: &CacheStats, adapter: Option<&AdapterUse>) -> proto::FrameCacheUse {
+    proto::FrameCacheUse {
+        look_ups: asked.look_ups,
+        hits: asked.hits,
+        misses: asked.misses,
+        read_bytes: asked.bytes_read,
+        texel_fetches: asked.texel_fetches,
+        texel_misses: asked.texel_misses,
+        page_visits: asked.page_visits,
+        visit_misses: asked.visit_misses,
+        coalesced: asked.coalesced_waits,
+        blocks_read: asked.blocks_read,
+        rows_decoded: asked.rows_decoded,
+        bytes_decoded: asked.bytes_decoded,
+        rows_redundant: asked.rows_redundant,
+        bytes_redundant: asked.bytes_redundant,
+        read_micros: asked.read_nanos / 1000,
+        decode_micros: asked.decode_nanos / 1000,
+        adapter: adapter.map(adapter_use),
+    }
+}
+
+fn adapter_use(work: &AdapterUse) -> proto::AdapterCacheUse {
+    let AdapterUse { before, after, frame } = work;
+    let since = |get: fn(&GpuCacheStats) -> u64| get(after).saturating_sub(get(before));
+    proto::AdapterCacheUse {
+        look_ups: since(|s| s.look_ups),
+        hits: since(|s| s.hits),
+        misses: since(|s| s.misses),
+        uploads: since(|s| s.uploads),
+        bytes_uploaded: since(|s| s.bytes_uploaded),
+        evictions: since(|s| s.evictions),
+        prefetch_used: since(|s| s.prefetch_used),
+        prefetch_wasted: since(|s| s.prefetch_wasted),
+        passes: frame.passes,
+        upload_micros: (1e3 * frame.pages_millis) as u64,
+    }
 }
 
 /// The message.

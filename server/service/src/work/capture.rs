@@ -1,5 +1,6 @@
 //! Scene to dataset version. Killed at any moment, it goes on from the pages it has stored, or finds that it had finished.
 
+use lumisphere::progress::Progress;
 use lumisphere::representations::Kind;
 use lumisphere::representations::offset_surface_light_field::{ConstructSettings, construct};
 use lumisphere::textures::{Publication, Staging, StoreError};
@@ -22,7 +23,10 @@ impl Work {
             Err(version) => return self.captured(&spec.dataset, version),
         };
         let version = match self.fill(spec, &staging, attempt) {
-            Ok(publication) => staging.publish(publication)?.manifest().version,
+            Ok(publication) => {
+                attempt.report("publishing", 0, 1);
+                staging.publish(publication)?.manifest().version
+            }
             Err(error) => {
                 if attempt.is_cancel_asked() {
                     staging.abandon()?;

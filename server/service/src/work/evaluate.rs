@@ -56,8 +56,9 @@ impl Work {
             let output = Output { encoding: Encoding::RawZstd, depth: false, provenance: false };
             let (version, settings, refine) = (version.clone(), spec.settings[setting], Refine::Whole);
             let order = FrameOrder { version, camera: *camera, settings, output, opening_micros: 0, refine };
-            let (rendered, _) = self.runtime.block_on(self.frames.render(order, Priority::Batch, None))?;
-            let (color, stats) = (color_image(&rendered.value), &rendered.value.stats);
+            let rendered = self.runtime.block_on(self.frames.render(order, Priority::Batch, None))?;
+            let frame = &rendered.value.frame;
+            let (color, stats) = (color_image(frame), &frame.stats);
             Ok(RenderedView { color, millis: stats.total_millis, backend: stats.backend, device_bytes: stats.device_bytes })
         };
         let mut keep = |picture: Picture<'_>| self.keep_picture(picture, &mut blobs);

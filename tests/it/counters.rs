@@ -1,0 +1,184 @@
+//! The cache's counters, told in three ways: `cache stats`, `/metrics`, and with every frame. All tell the same.
+
+use std::path::Path;
+
+use serde_json::Value;
+
+use crate::prefetch::has_adapter;
+use crate::process::{Server, temporary_folder};
+use crate::system::get;
+use crate::tiny::{self, DATASET, QUICK};
+
+/// Gauge and key of `cache stats`; of each tier.
+const TIER: [(&str, &str); 11] = [
+    ("cache_look_ups", "look_ups"),
+    ("cache_hits", "hits"),
+    ("cache_misses", "misses"),
+    ("cache_evictions", "evictions"),
+    ("cache_bytes_in", "bytes_in"),
+    ("cache_bytes", "used_bytes"),
+    ("cache_peak_bytes", "peak_bytes"),
+    ("cache_budget_bytes", "budget_bytes"),
+    ("cache_prefetched", "prefetched"),
+    ("cache_prefetch_used", "prefetch_used"),
+    ("cache_prefetch_wasted", "prefetch_wasted"),
+];
+
+/// The same, of each dataset's texels.
+const TEXELS: [(&str, &str); 16] = [
+    ("texture_look_ups", "look_ups"),
+    ("texture_misses", "misses"),
+    ("texture_texel_fetches", "texel_fetches"),
+    ("texture_texel_misses", "texel_misses"),
+    ("texture_page_visits", "page_visits"),
+    ("texture_visit_misses", "visit_misses"),
+    ("texture_coalesced", "coalesced"),
+    ("texture_blocks_read", "blocks_read"),
+    ("texture_bytes_read", "bytes_read"),
+    ("texture_rows_decoded", "rows_decoded"),
+    ("texture_bytes_decoded", "bytes_decoded"),
+    ("texture_rows_redundant", "rows_redundant"),
+    ("texture_bytes_redundant", "bytes_redundant"),
+    ("texture_read_micros", "read_micros"),
+    ("texture_decode_micros", "decode_micros"),
+    ("texture_wait_micros", "wait_micros"),
+];
+
+/// A frame's key and that of `cache stats`, whatever computed the frame.
+const FRAME: [(&str, &str); 7] = [
+    ("look_ups", "look_ups"),
+    ("misses", "misses"),
+    ("read_bytes", "bytes_read"),
+    ("texel_fetches", "texel_fetches"),
+    ("texel_misses", "texel_misses"),
+    ("page_visits", "page_visits"),
+    ("visit_misses", "visit_misses"),
+];
+
+/// The same in both; only of whole pages, which the GPU asks for.
+const PAGES: [&str; 6] = ["coalesced", "blocks_read", "rows_decoded", "bytes_decoded", "rows_redundant", "bytes_redundant"];
+
+/// A frame's key and that of the adapter's tier.
+const ADAPTER: [(&str, &str); 7] = [
+    ("look_ups", "look_ups"),
+    ("hits", "hits"),
+    ("misses", "misses"),
+    ("bytes_uploaded", "bytes_in"),
+    ("evictions", "evictions"),
+    ("prefetch_used", "prefetch_used"),
+    ("prefetch_wasted", "prefetch_wasted"),
+];
+
+/// Frames of the dataset; what each of them says of the cache.
+fn frames(server: &Server, dataset: &str, backend: &str, (count, size): (&str, &str), out: &Path) -> Vec<Value> {
+    let base = ["render", "--dataset", dataset, "--backend", backend, "--out", out.to_str().unwrap(), "--force", "--json"];
+    let text = server.succeed(&[&base[..], &["--component", "mirror", "--format", "raw", "--frames", count, "--size", size]].concat());
+    text.lines().map(|line| serde_json::from_str::<Value>(line).unwrap()["cache"].clone()).collect()
+}
+
+const FEW: (&str, &str) = ("3", "64x48");
+
+fn count(counters: &Value, key: &str) -> u64 {
+    counters[key].as_u64().unwrap_or_else(|| panic!("no {key} in {counters:#}"))
+}
+
+fn sum(frames: &[Value], key: &str) -> u64 {
+    frames.iter().map(|frame| count(frame, key)).sum()
+}
+
+/// How much a counter has grown.
+fn growth(before: &Value, after: &Value, key: &str) -> u64 {
+    count(after, key) - count(before, key)
+}
+
+fn tier<'a>(stats: &'a Value, name: &str) -> &'a Value {
+    stats["tiers"].as_array().unwrap().iter().find(|t| t["tier"] == name).unwrap_or_else(|| panic!("no tier {name} in {stats:#}"))
+}
+
+#[test]
+fn metrics_tell_what_cache_stats_tells_of_every_tier_and_dataset() {
+    let folder = temporary_folder();
+    let server = Server::start(&folder.path().join("data"));
+    tiny::capture(&server, folder.path());
+    // Room for a few pages, read from their start each time: something leaves, and is decoded again.
+    let sizes = ["--memory-budget-bytes", "20000", "--compressed-budget-bytes", "30000", "--strategy", "on_demand_restart"];
+    server.json(&[&["cache", "configure"], &sizes[..]].concat());
+    frames(&server, DATASET, "cpu", FEW, folder.path());
+    if has_adapter(&server) {
+        frames(&server, DATASET, "gpu", FEW, folder.path());
+    }
+    let stats = server.json(&["cache", "stats"]);
+    let metrics = get(&server.http, "/metrics").1;
+    let gauge = |name: &str, labels: &str| -> u64 {
+        let line = format!("lumisphere_{name}{{{labels}}} ");
+        let value = metrics.lines().find_map(|l| l.strip_prefix(&line)).unwrap_or_else(|| panic!("no {line}in {metrics}"));
+        value.trim().parse().unwrap()
+    };
+    for tier in stats["tiers"].as_array().unwrap() {
+        let labels = format!("tier={}", tier["tier"]);
+        for (name, key) in TIER {
+            assert_eq!(gauge(name, &labels), count(tier, key), "{name}{{{labels}}} in {tier:#}");
+        }
+    }
+    for dataset in stats["datasets"].as_array().unwrap() {
+        let labels = format!("dataset={},version=\"{}\"", dataset["dataset"], dataset["version"]);
+        let texels = &dataset["texels"];
+        for (name, key) in TEXELS {
+            assert_eq!(gauge(name, &labels), count(texels, key), "{name}{{{labels}}} in {texels:#}");
+        }
+        assert_eq!(gauge("texture_hits", &labels), count(texels, "look_ups") - count(texels, "misses"));
+        for (name, key) in [("texture_bytes", "used_bytes"), ("texture_evictions", "evictions")] {
+            assert_eq!(gauge(name, &labels), count(dataset, key), "{name} in {dataset:#}");
+        }
+        // One dataset alone: what leaves is its own.
+        assert_eq!(count(dataset, "evictions"), count(tier(&stats, "memory"), "evictions"));
+    }
+    for key in ["hits", "misses", "evictions"] {
+        assert!(["compressed", "memory"].iter().all(|name| count(tier(&stats, name), key) > 0), "no {key} in {stats:#}");
+    }
+    assert!(count(&stats["texels"], "rows_redundant") > 0, "{stats:#}");
+}
+
+#[test]
+fn what_frames_say_of_the_cache_adds_up_to_its_counters() {
+    let folder = temporary_folder();
+    let server = Server::start(&folder.path().join("data"));
+    tiny::capture(&server, folder.path());
+    let before = server.json(&["cache", "stats"]);
+    let drawn = frames(&server, DATASET, "cpu", FEW, folder.path());
+    let after = server.json(&["cache", "stats"]);
+    assert!(sum(&drawn, "texel_fetches") > 0 && sum(&drawn, "texel_misses") > 0, "{drawn:#?}");
+    for (of_frames, key) in FRAME {
+        assert_eq!(sum(&drawn, of_frames), growth(&before["texels"], &after["texels"], key), "{of_frames}");
+    }
+    assert!(drawn.iter().all(|frame| frame["adapter"].is_null()));
+
+    if !has_adapter(&server) {
+        return;
+    }
+    // Little memory, and on the adapter room for one dataset: the second one displaces the first, which comes back. A frame as large as
+    // what the adapter draws at once takes all that any frame takes beside its pages.
+    tiny::capture_with(&server, folder.path(), "second", &[&QUICK[..], &["--seed", "5"]].concat());
+    let large = |dataset: &str| frames(&server, dataset, "gpu", ("1", "720x720"), folder.path());
+    large(DATASET);
+    let held = count(tier(&server.json(&["cache", "stats"]), "gpu"), "used_bytes");
+    let room = (held + held / 2).to_string();
+    let before = server.json(&["cache", "configure", "--gpu-budget-bytes", &room, "--memory-budget-bytes", "20000"]);
+    let drawn: Vec<Value> = [DATASET, "second", DATASET].into_iter().flat_map(large).collect();
+    assert!(drawn.iter().all(|frame| frame["adapter"].is_object()), "drawn by the CPU: {drawn:#?}");
+    let after = server.json(&["cache", "stats"]);
+    for key in FRAME.into_iter().chain(PAGES.map(|key| (key, key))) {
+        assert_eq!(sum(&drawn, key.0), growth(&before["texels"], &after["texels"], key.1), "{key:?} of {drawn:#?}");
+    }
+    // A frame's microseconds are whole ones.
+    for key in ["read_micros", "decode_micros"] {
+        let (told, all) = (sum(&drawn, key), growth(&before["texels"], &after["texels"], key));
+        assert!(told > 0 && told <= all + 1 && all <= told + drawn.len() as u64, "{key}: {told} of {all}");
+    }
+    let on_adapter: Vec<Value> = drawn.iter().map(|frame| frame["adapter"].clone()).collect();
+    for (of_frames, key) in ADAPTER {
+        assert_eq!(sum(&on_adapter, of_frames), growth(tier(&before, "gpu"), tier(&after, "gpu"), key), "{of_frames}");
+    }
+    assert!(sum(&on_adapter, "evictions") > 0 && sum(&drawn, "rows_redundant") > 0, "{drawn:#?}");
+    assert!(on_adapter.iter().all(|frame| count(frame, "passes") > 0));
+}
