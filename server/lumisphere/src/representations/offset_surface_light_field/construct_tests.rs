@@ -12,7 +12,9 @@ use crate::directions::FACES;
 use crate::geometry::TriangleMesh;
 use crate::progress::{Cancelled, Progress, Unattended};
 use crate::scenes::{Albedo, Environment, Material, Object, Scene, Surface};
-use crate::textures::{DatasetVersion, PageId, PixelFormat, Publication, Staging, Store, StoreOptions};
+use crate::textures::{
+    DatasetVersion, Disk, LimitedDisk, LocalDisk, PageId, PixelFormat, Publication, Staging, Store, StoreError, StoreOptions,
+};
 
 fn object(name: &str, mesh: TriangleMesh) -> Object {
     Object { name: name.into(), mesh, surface: Surface::Mesh, material: 0, emission: None }
@@ -75,7 +77,11 @@ fn settings() -> ConstructSettings {
 }
 
 fn stage(root: &Path) -> (Store, Staging) {
-    let (store, _) = Store::open(root, StoreOptions::local()).unwrap();
+    stage_on(root, Arc::new(LocalDisk))
+}
+
+fn stage_on(root: &Path, disk: Arc<dyn Disk>) -> (Store, Staging) {
+    let (store, _) = Store::open(root, StoreOptions { disk, ..StoreOptions::local() }).unwrap();
     let staging = match store.create_dataset("ball").and_then(|()| store.stage("ball", "job-1")) {
         Ok(staging) => staging,
         Err(_) => store.stage("ball", "job-1").unwrap(),
@@ -151,6 +157,28 @@ fn a_stopped_capture_goes_on_where_it_was_and_ends_in_the_same_bytes() {
         assert_eq!(expected.read_page(PageId(page)).unwrap().to_f32(), resumed.read_page(PageId(page)).unwrap().to_f32(), "page {page}");
     }
     assert_eq!(content(&expected).1, content(&resumed).1);
+}
+
+#[test]
+fn a_full_disk_is_told_and_the_capture_goes_on_when_there_is_room() {
+    let (whole, cramped) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let expected = built_in(whole.path(), 2);
+    let bytes: u64 = expected.manifest().segments.iter().map(|segment| segment.bytes).sum();
+    let disk = Arc::new(LimitedDisk::new(u64::MAX));
+    let (_store, staging) = stage_on(cramped.path(), disk.clone());
+    let mut present = 0;
+    // Full at once, twice amid the pages, and again at once.
+    for free in [0, bytes / 3, bytes / 3, 0] {
+        disk.set_free_bytes(free);
+        let full = construct(&ball_on_table(), &settings(), &staging, &Unattended);
+        assert!(matches!(full, Err(ConstructError::Store(StoreError::DiskFull { .. }))), "{free} bytes free: {full:?}");
+        let before = std::mem::replace(&mut present, staging.pages_present().len());
+        assert!(if free == 0 { present == before } else { present > before }, "{before} pages, {present} with {free} bytes more");
+    }
+    assert!(present < expected.page_count() as usize);
+    disk.set_free_bytes(u64::MAX);
+    let parameters = construct(&ball_on_table(), &settings(), &staging, &Unattended).unwrap();
+    assert_eq!(content(&publish(staging, &parameters)), content(&expected));
 }
 
 #[test]
