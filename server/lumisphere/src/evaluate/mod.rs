@@ -1,6 +1,8 @@
 //! How far rendered frames are from path-traced truth, at poses that the capture did not use; what that says over many datasets and settings
 //! (`sweep`), drawn (`chart`, `report`), and which setting follows from it (`choose`).
 
+#[cfg(test)]
+mod capture_to_truth_tests;
 mod chart;
 mod choose;
 mod csv;

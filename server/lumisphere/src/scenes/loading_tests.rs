@@ -1,11 +1,13 @@
-//! Whole scenes: those of the data pack, small ones in memory, and every way to break them.
+//! Whole scenes: real ones, small ones in memory, and every way to break them.
+
+use std::path::Path;
 
 use glam::Vec3;
 
 use super::*;
 use crate::geometry::{Intrinsics, Pose};
 use crate::radiometry::brdf::{AnalyticBrdf, Brdf};
-use crate::testdata::shared;
+use crate::testdata::{shared, shipped};
 
 const QUAD: &str = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nvn 0 0 1\nf 1/1/1 2/2/1 3/3/1 4/4/1\n";
 
@@ -257,10 +259,14 @@ fn six_files_make_an_environment_only_with_their_convention() {
     assert!(load(&files, "scene.json", &LoadOptions::as_written()).unwrap_err().to_string().contains("layout"));
 }
 
-// The data pack: a scene of it, loaded from its folder.
+fn from_folder(folder: &Path, path: &str) -> Scene {
+    let files = SceneFolder::open(folder, DEFAULT_FILE_LIMIT_BYTES).unwrap();
+    load(&files, path, &LoadOptions::as_written()).unwrap()
+}
+
+// A scene of the data pack.
 fn from_pack(folder: &str, path: &str) -> Option<Scene> {
-    let files = SceneFolder::open(&shared(folder)?, DEFAULT_FILE_LIMIT_BYTES).unwrap();
-    Some(load(&files, path, &LoadOptions::as_written()).unwrap())
+    Some(from_folder(&shared(folder)?, path))
 }
 
 fn triangles(scene: &Scene) -> usize {
@@ -269,7 +275,7 @@ fn triangles(scene: &Scene) -> usize {
 
 #[test]
 fn box_room_loads_unchanged() {
-    let Some(scene) = from_pack("scenes/box-room", "scene.json") else { return };
+    let scene = from_folder(&shipped("scenes/box-room"), "scene.json");
     assert_eq!((scene.objects.len(), triangles(&scene)), (10, 14 + 24 + 3968));
     let panel = &scene.objects[scene.object("panel").unwrap()];
     assert_eq!(panel.emission, Some(Vec3::new(10.0, 9.0, 7.5)));
@@ -328,9 +334,9 @@ fn sponza_loads_with_notes_about_its_masks() {
 }
 
 #[test]
-fn files_of_the_pack_cut_off_never_panic() {
-    for (folder, path) in [("scenes/box-room", "box-room.glb"), ("scenes/box-room", "meshes/ball.obj")] {
-        let Some(root) = shared(folder) else { return };
+fn real_files_cut_off_never_panic() {
+    let root = shipped("scenes/box-room");
+    for path in ["box-room.glb", "meshes/ball.obj"] {
         let whole = std::fs::read(root.join(path)).unwrap();
         for part in 0..24 {
             // Uneven steps, so that cuts fall into headers, numbers and line ends alike.
@@ -345,8 +351,8 @@ fn files_of_the_pack_cut_off_never_panic() {
 }
 
 #[test]
-fn files_of_the_pack_with_one_byte_changed_never_panic() {
-    let Some(root) = shared("scenes/box-room") else { return };
+fn real_files_with_one_byte_changed_never_panic() {
+    let root = shipped("scenes/box-room");
     for (path, header) in [("box-room.glb", 6000), ("meshes/tall.obj", 1500), ("scene.json", 2000), ("textures/floor.png", 800)] {
         let whole = std::fs::read(root.join(path)).unwrap();
         for i in 0..150 {

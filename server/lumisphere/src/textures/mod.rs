@@ -24,6 +24,7 @@ mod page;
 mod planes;
 pub mod policy;
 mod read_strategy;
+mod root_lock;
 mod segment;
 mod staging;
 mod store;

@@ -11,7 +11,6 @@
 //! ```
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 
@@ -21,6 +20,7 @@ use super::hash::ContentHash;
 use super::index::Index;
 use super::manifest::Manifest;
 use super::opening;
+use super::root_lock::RootLock;
 use super::segment::Location;
 use super::staging::{Claim, Staging};
 use super::version::{DatasetVersion, VersionRecord};
@@ -90,8 +90,8 @@ struct Inner {
     catalog: Mutex<Catalog>,
     /// Held while files get or lose the manifest that names them.
     files: Mutex<()>,
-    // The operating system releases the lock with the file, however the process ends.
-    _lock: File,
+    // Last: what is dropped before it is still locked.
+    _lock: RootLock,
 }
 
 /// Which versions there are and who writes.
@@ -174,7 +174,7 @@ impl Store {
         for folder in folders.made() {
             disk.create_dir_all(folder).at("create", folder)?;
         }
-        let lock = lock_root(root)?;
+        let lock = RootLock::take(root)?;
         let mut report = OpenReport::default();
         let (catalog, index) = opening::load(&folders, disk.as_ref(), options.index_cache_bytes, &mut report)?;
         let inner = Inner { folders, disk, index: Mutex::new(index), catalog: Mutex::new(catalog), files: Mutex::new(()), _lock: lock };
@@ -394,16 +394,4 @@ impl Entry {
 pub(super) fn files_of<'a>(manifest: &'a Manifest, folders: &'a Folders) -> impl Iterator<Item = PathBuf> + 'a {
     let segments = manifest.segments.iter().map(|s| folders.segment(&s.blake3));
     segments.chain(manifest.blobs.values().map(|b| folders.blob(&b.blake3)))
-}
-
-fn lock_root(root: &Path) -> Result<File, StoreError> {
-    let path = root.join("lock");
-    let file = File::options().write(true).create(true).truncate(false).open(&path).at("create", &path)?;
-    match file.try_lock() {
-        Ok(()) => Ok(file),
-        Err(fs::TryLockError::WouldBlock) => {
-            Err(StoreError::Busy { what: format!("another process has the store open: {}", root.display()) })
-        }
-        Err(fs::TryLockError::Error(error)) => Err(error).at("lock", &path),
-    }
 }

@@ -1,4 +1,4 @@
-//! An independent renderer's images of a room (Mitsuba 3.9.1; `scenes/box-room` of the data pack) matched within both noises.
+//! An independent renderer's images of a room (Mitsuba 3.9.1; `data/scenes/box-room`) matched within both noises.
 //!
 //! How: ours is rendered twice with different seeds. Half the mean square difference of the halves' mean, `(A − B)²/4`, estimates
 //! the noise of `(A + B)/2`, the truth's report states its own, and `rmse² − noise²(ours) − noise²(truth)` is then zero up to
@@ -7,7 +7,7 @@
 //! must stay below 4.5 standard deviations. The same on means over 8 × 8 pixels, where the noise is eight times less and any bias
 //! that is not noise stands out.
 //!
-//! The truth shows the two textures upside down: row 0 of their images at v = 0, against the pack's own description (v = 0 is the
+//! The truth shows the two textures upside down: row 0 of their images at v = 0, against the format's own description (v = 0 is the
 //! bottom row) and against the `.glb` beside it, whose v is 1 − v. The product follows the description; here the textures are
 //! turned over to compare light, and a control holds that they match no other way.
 
@@ -17,7 +17,7 @@ use super::*;
 use crate::directions::{CubeMap, texel_direction};
 use crate::images::{ExrLayer, Nan, ReadLimits, decode_exr};
 use crate::scenes::{LoadOptions, SceneFolder, load};
-use crate::testdata::shared;
+use crate::testdata::shipped;
 
 struct Room {
     scene: Scene,
@@ -25,13 +25,12 @@ struct Room {
 }
 
 impl Room {
-    /// None without the data pack.
-    fn open() -> Option<Self> {
-        let folder = shared("scenes/box-room")?;
+    fn open() -> Self {
+        let folder = shipped("scenes/box-room");
         let files = SceneFolder::open(&folder, 1 << 26).unwrap();
         let mut room = Self { scene: load(&files, "scene.json", &LoadOptions::as_written()).unwrap(), truth: folder.join("truth") };
         room.turn_textures_over();
-        Some(room)
+        room
     }
 
     fn turn_textures_over(&mut self) {
@@ -114,7 +113,7 @@ fn assert_matches(what: &str, halves: &[Image; 2], (truth, noise): &(Image, f64)
 
 #[test]
 fn every_view_matches_the_independent_renderer_within_the_noise() {
-    let Some(room) = Room::open() else { return };
+    let room = Room::open();
     for view in [0, 1] {
         assert_matches(&format!("view{view}"), &room.halves(view, settings(8, 64)), &room.radiance(&format!("view{view}.exr")));
         let direct = format!("view{view}_direct.exr");
@@ -124,7 +123,7 @@ fn every_view_matches_the_independent_renderer_within_the_noise() {
 
 #[test]
 fn wrong_albedos_shifted_images_swapped_channels_and_turned_textures_do_not_match() {
-    let Some(mut room) = Room::open() else { return };
+    let mut room = Room::open();
     let truth = room.radiance("view0_direct.exr");
     let fails = |halves: &[Image; 2]| [1, 8].iter().any(|block| compare(halves, &truth.0, truth.1, *block).z > 2.0 * Z);
     let right = room.halves(0, settings(16, 1));
@@ -152,7 +151,7 @@ fn wrong_albedos_shifted_images_swapped_channels_and_turned_textures_do_not_matc
 
 #[test]
 fn distance_and_normal_match_at_every_pixel_centre() {
-    let Some(room) = Room::open() else { return };
+    let room = Room::open();
     let tracer = Tracer::new(&room.scene).unwrap();
     for view in [0, 1] {
         let truth = room.layer(&format!("view{view}_geometry.exr"));
@@ -185,7 +184,7 @@ fn face(image: &Image, face: usize) -> Image {
 
 #[test]
 fn every_face_of_the_cube_map_matches_the_independent_renderer() {
-    let Some(room) = Room::open() else { return };
+    let room = Room::open();
     let cubes: serde_json::Value = serde_json::from_slice(&std::fs::read(room.truth.join("cubes.json")).unwrap()).unwrap();
     let at: Vec<f32> = cubes[0]["position"].as_array().unwrap().iter().map(|c| c.as_f64().unwrap() as f32).collect();
     let position = Vec3::new(at[0], at[1], at[2]);

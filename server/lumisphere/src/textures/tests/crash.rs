@@ -2,6 +2,8 @@
 
 use std::fs::{self, File};
 use std::io;
+use std::os::unix::process::ExitStatusExt;
+use std::process::Command;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use rand::{RngExt, SeedableRng};
@@ -13,16 +15,32 @@ use super::*;
 #[derive(Debug)]
 struct DyingDisk {
     left: AtomicU64,
+    takes_along: TakesAlong,
+}
+
+/// What ends with the disk.
+#[derive(Debug, Clone, Copy)]
+enum TakesAlong {
+    /// Only what is asked of it: destructors run, and the index is closed in order.
+    Nothing,
+    Process,
 }
 
 impl DyingDisk {
     fn after(operations: u64) -> Arc<Self> {
-        Arc::new(Self { left: AtomicU64::new(operations) })
+        Arc::new(Self { left: AtomicU64::new(operations), takes_along: TakesAlong::Nothing })
     }
 
     fn step(&self) -> io::Result<()> {
         let alive = self.left.fetch_update(Ordering::SeqCst, Ordering::SeqCst, |left| left.checked_sub(1));
-        alive.map(|_| ()).map_err(|_| io::Error::other("killed"))
+        alive.map(|_| ()).map_err(|_| self.die())
+    }
+
+    fn die(&self) -> io::Error {
+        match self.takes_along {
+            TakesAlong::Nothing => io::Error::other("killed"),
+            TakesAlong::Process => std::process::abort(),
+        }
     }
 }
 
@@ -30,7 +48,7 @@ impl Disk for DyingDisk {
     fn write_at(&self, file: &File, bytes: &[u8], offset: u64) -> io::Result<()> {
         if self.left.load(Ordering::SeqCst) == 1 {
             LocalDisk.write_at(file, &bytes[..bytes.len() / 2], offset)?;
-            return self.step().and(Err(io::Error::other("killed")));
+            return self.step().and_then(|()| Err(self.die()));
         }
         self.step()?;
         LocalDisk.write_at(file, bytes, offset)
@@ -142,6 +160,71 @@ fn a_job_killed_at_any_step_leaves_the_version_whole_or_absent_and_finishes_when
         }
     }
     assert!(absent > 30, "only {absent} steps before publication");
+}
+
+const CHILD_ROOT: &str = "LUMISPHERE_CRASH_ROOT";
+const CHILD_STEPS: &str = "LUMISPHERE_CRASH_STEPS";
+const CHILD_TEST: &str = "textures::tests::crash::a_process_that_is_told_to_dies_while_it_publishes";
+
+/// Nothing, unless the test below has started this process.
+#[test]
+fn a_process_that_is_told_to_dies_while_it_publishes() {
+    let (Ok(root), Ok(steps)) = (std::env::var(CHILD_ROOT), std::env::var(CHILD_STEPS)) else { return };
+    let left = AtomicU64::new(steps.parse().unwrap());
+    let disk = Arc::new(DyingDisk { left, takes_along: TakesAlong::Process });
+    job(Path::new(&root), disk).unwrap();
+}
+
+/// A process of its own publishes over the store at `root` and dies after so many operations; whether it finished before.
+fn published_by_a_child(root: &Path, steps: u64) -> bool {
+    let mut child = Command::new(std::env::current_exe().unwrap());
+    // A core file, where the machine writes one, goes with the folder.
+    child.current_dir(root).args([CHILD_TEST, "--exact"]).env(CHILD_ROOT, root).env(CHILD_STEPS, steps.to_string());
+    let output = child.output().unwrap();
+    assert!(output.status.success() || output.status.signal().is_some(), "{}", String::from_utf8_lossy(&output.stdout));
+    output.status.success()
+}
+
+/// No destructor runs and nobody closes the index. A version of other pages was published before.
+#[test]
+fn a_process_that_aborts_at_any_step_leaves_what_was_published_and_the_version_whole_or_absent() {
+    let begun = || {
+        let root = tempfile::tempdir().unwrap();
+        publish(&open(root.path()).0, 5);
+        root
+    };
+    let expected = job(begun().path(), Arc::new(LocalDisk)).unwrap().manifest().clone();
+    let (mut published, mut absent) = (0, 0);
+    for steps in 0.. {
+        let root = begun();
+        let finished = published_by_a_child(root.path(), steps);
+        let (store, report) = open(root.path());
+        assert!(report.damaged.is_empty(), "after {steps} steps: {report:?}");
+        assert_whole(&store.open_version("d", Some(1)).unwrap(), 5);
+        let versions = store.versions("d").unwrap();
+        match versions[..] {
+            [1] => {
+                absent += 1;
+                assert!(!finished, "a version that was reported published is gone");
+            }
+            [1, 2] => {
+                published += 1;
+                assert_whole(&store.open_version("d", Some(2)).unwrap(), 3);
+                assert!(names(&root.path().join("staging")).is_empty(), "{report:?}");
+            }
+            ref other => panic!("versions {other:?}"),
+        }
+        // A segment a version, and no other: what was half-written is swept.
+        assert_eq!(names(&root.path().join("segments")).len(), versions.len(), "after {steps} steps");
+        drop(store);
+        let version = job(root.path(), Arc::new(LocalDisk)).unwrap();
+        assert_eq!(*version.manifest(), expected, "after {steps} steps");
+        assert_whole(&version, 3);
+        if finished {
+            break;
+        }
+    }
+    assert!(absent > 20 && published > 2, "{absent} steps before publication, {published} after");
 }
 
 /// Two segments' worth of work, two versions, any moment: 200 random points, each followed by up to three more kills while resuming.
