@@ -66,7 +66,7 @@ pub struct DatasetFile {
 pub struct Job {
     /// Given by the server.
     pub name: String,
-    /// "capture", "evaluate" or "path_render".
+    /// "capture", "evaluate", "path_render" or "thin".
     pub kind: &'static str,
     /// Which dataset it writes or reads.
     pub dataset: String,
@@ -335,6 +335,7 @@ impl From<wire::Job> for Job {
             Some(wire::job_spec::Spec::Capture(s)) => ("capture", s.dataset),
             Some(wire::job_spec::Spec::Evaluate(s)) => ("evaluate", s.dataset),
             Some(wire::job_spec::Spec::PathRender(s)) => ("path_render", s.dataset),
+            Some(wire::job_spec::Spec::Thin(s)) => ("thin", s.dataset),
             None => ("unknown", String::new()),
         };
         Self {

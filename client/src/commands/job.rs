@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, Subcommand, ValueEnum};
 use lumisphere::textures::Codec;
 use lumisphere_proto::v1alpha1 as wire;
-use serde_json::json;
+use serde_json::{Value, json};
 use wire::job_spec::Spec;
 
 use super::dataset::PAGE_SIZE;
@@ -19,7 +19,7 @@ use crate::exit::Failure;
 use crate::files::{Existing, prepare_folder, safe_name};
 use crate::output::{bytes_text, table};
 use crate::progress::Meter;
-use crate::render_settings::{OutputFlags, SettingsFlags};
+use crate::render_settings::{Backend, Blend, Component, Filter, GlossFlags, OutputFlags, SettingsFlags, settings};
 use crate::scene_source::{self, SceneFlags};
 use crate::views;
 
@@ -68,6 +68,8 @@ pub enum Submit {
     Evaluate(Box<EvaluateArguments>),
     /// Render a frame a camera; the frames are the job's results
     PathRender(Box<PathRenderArguments>),
+    /// Leave out of a dataset what an error bound can do without, and publish the rest as a dataset of its own
+    Thin(Box<ThinArguments>),
 }
 
 /// Flags of every submission.
@@ -165,6 +167,55 @@ pub struct PathRenderArguments {
     submit: SubmitFlags,
 }
 
+/// Flags of `submit thin`.
+#[derive(Debug, Args)]
+pub struct ThinArguments {
+    /// Dataset to thin
+    #[arg(long, value_name = "NAME")]
+    dataset: String,
+    /// Which version [default: the latest]
+    #[arg(long, default_value_t = 0, hide_default_value = true)]
+    version: u64,
+    /// Dataset to add the thinned version to; created when there is none
+    #[arg(long, value_name = "NAME")]
+    into: String,
+    /// At most this error, of small windows of pictures from everywhere, against path-traced truth
+    #[arg(long, value_name = "ERROR")]
+    max_error: f64,
+    /// Which error: mean CIEDE2000 difference, or RMSE of L* / 100
+    #[arg(long, value_enum, default_value = "delta-e")]
+    metric: ThinMetric,
+    /// Of what is shown
+    #[arg(long, value_enum, default_value = "mirror")]
+    component: Component,
+    /// How it is read
+    #[arg(long, default_value = "corrected")]
+    blend: Blend,
+    /// How many windows, 16 to 4096 [default: 256]
+    #[arg(long, value_name = "N")]
+    windows: Option<u32>,
+    /// Paths per pixel of the windows' truth [default: 256]
+    #[arg(long, value_name = "N")]
+    truth_samples_per_pixel: Option<u32>,
+    /// Of the windows and their truth
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Of stored pages
+    #[arg(long, value_name = "CODEC", default_value_t = Codec::DEFAULT)]
+    codec: Codec,
+    #[command(flatten)]
+    submit: SubmitFlags,
+}
+
+/// What is bounded.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum ThinMetric {
+    /// Mean CIEDE2000 difference; 1 is just noticeable
+    DeltaE,
+    /// RMSE of L*, divided by 100
+    RmseL,
+}
+
 /// Runs one.
 pub async fn run(command: Command, context: &Context) -> anyhow::Result<()> {
     match command {
@@ -175,6 +226,7 @@ pub async fn run(command: Command, context: &Context) -> anyhow::Result<()> {
             submit_and_tell(context, &server, spec, &arguments.submit).await
         }
         Command::Submit(Submit::PathRender(arguments)) => submit_path_render(context, &arguments).await,
+        Command::Submit(Submit::Thin(arguments)) => submit_thin(context, &arguments).await,
         Command::List => list(context).await,
         Command::Get { name } => {
             let mut client = context.connect().await?.jobs();
@@ -214,11 +266,6 @@ async fn submit_capture(context: &Context, arguments: &CaptureArguments) -> anyh
         PixelFormat::F16 => wire::PixelFormat::F16,
         PixelFormat::F32 => wire::PixelFormat::F32,
     };
-    // Zero is the wire's "as the server does by default"; somebody who says 0 means 0, which is never valid.
-    let given = |value: Option<u32>, flag: &str| match value {
-        Some(0) => Err(Failure::Usage(format!("--{flag} is 0, at least 1 expected"))),
-        other => Ok(other.unwrap_or(0)),
-    };
     if arguments.epsilon.is_some_and(|e| !(e > 0.0)) {
         return Err(Failure::Usage("--epsilon must be positive".into()).into());
     }
@@ -246,6 +293,36 @@ pub fn codec_message(codec: Codec) -> wire::Codec {
         Codec::ZstdSeq => wire::Codec::ZstdSeq,
         Codec::LzwSeq => wire::Codec::LzwSeq,
         Codec::BitsChunk => wire::Codec::BitsChunk,
+    }
+}
+
+async fn submit_thin(context: &Context, arguments: &ThinArguments) -> anyhow::Result<()> {
+    let server = context.connect().await?;
+    let metric = match arguments.metric {
+        ThinMetric::DeltaE => wire::ThinMetric::DeltaE,
+        ThinMetric::RmseL => wire::ThinMetric::RmseL,
+    };
+    let shown = settings(arguments.component, arguments.blend, [1.0; 3], Filter::Footprint, Backend::Auto, &GlossFlags::default());
+    let spec = wire::ThinSpec {
+        dataset: arguments.dataset.clone(),
+        version: arguments.version,
+        into: arguments.into.clone(),
+        settings: Some(shown),
+        max_error: arguments.max_error,
+        metric: metric.into(),
+        windows: given(arguments.windows, "windows")?,
+        truth_samples_per_pixel: given(arguments.truth_samples_per_pixel, "truth-samples-per-pixel")?,
+        seed: arguments.seed,
+        codec: codec_message(arguments.codec).into(),
+    };
+    submit_and_tell(context, &server, Spec::Thin(spec), &arguments.submit).await
+}
+
+/// Zero is the wire's "as the server does by default"; somebody who says 0 means 0, which is never valid.
+fn given(value: Option<u32>, flag: &str) -> Result<u32, Failure> {
+    match value {
+        Some(0) => Err(Failure::Usage(format!("--{flag} is 0, at least 1 expected"))),
+        other => Ok(other.unwrap_or(0)),
     }
 }
 
@@ -326,11 +403,33 @@ fn job_text(job: &views::Job) -> String {
         if !result.dataset.is_empty() {
             text.push_str(&format!("\ndataset {} version {}", result.dataset, result.dataset_version));
         }
+        if let Some(saved) = result.summary.get("thinning") {
+            text.push_str(&format!("\n{}", thinned_text(saved, &result.summary)));
+        }
         for blob in &result.blobs {
             text.push_str(&format!("\n{}  {}", blob.name, bytes_text(blob.size_bytes)));
         }
     }
     text
+}
+
+/// What thinning left out, and what that did to the error.
+fn thinned_text(thinning: &Value, summary: &Value) -> String {
+    let (report, bytes) = (&thinning["report"], |bytes: &Value| bytes_text(bytes.as_u64().unwrap_or_default()));
+    let error = |error: &Value| format!("{:.4}", error.as_f64().unwrap_or(f64::NAN));
+    format!(
+        "sample points {} -> {}, faces {} -> {} texels, {} -> {}, {} {} -> {} (at most {})",
+        report["sample_points_before"],
+        report["sample_points"],
+        report["face_size_texels_before"],
+        report["face_size_texels"],
+        bytes(&thinning["stored_bytes_before"]),
+        bytes(&summary["stored_bytes"]),
+        thinning["metric"].as_str().unwrap_or("error"),
+        error(&report["error_before"]),
+        error(&report["error"]),
+        thinning["max_error"],
+    )
 }
 
 /// Fetches the job's blobs into the folder and returns their names.

@@ -5,11 +5,11 @@
 use std::collections::{BTreeMap, HashMap};
 use std::fmt;
 
-use lumisphere::evaluate::EvaluateError;
+use lumisphere::evaluate::{EvaluateError, ThinError};
 use lumisphere::progress::Cancelled;
 use lumisphere::raytrace::TraceError;
 use lumisphere::render::RenderError;
-use lumisphere::representations::offset_surface_light_field::ConstructError;
+use lumisphere::representations::offset_surface_light_field::{ConstructError, ThinningError};
 use lumisphere::scenes::SceneError;
 use lumisphere::textures::StoreError;
 use tonic::{Code, Status};
@@ -204,6 +204,28 @@ impl From<EvaluateError<Self>> for ApiError {
             EvaluateError::Cancelled(error) => error.into(),
             EvaluateError::Compare(error) => Self::internal(error),
             EvaluateError::Other(error) => error,
+        }
+    }
+}
+
+impl From<ThinError> for ApiError {
+    fn from(error: ThinError) -> Self {
+        match error {
+            ThinError::Unmet { .. } => Self::field("spec.thin.max_error", error),
+            ThinError::Placement(error) => Self::field("spec.thin.windows", error),
+            ThinError::NoObject(_) | ThinError::Unseen => Self::field("spec.thin.dataset", error),
+            ThinError::Trace(error) => error.into(),
+            ThinError::Thinning(error) => error.into(),
+        }
+    }
+}
+
+impl From<ThinningError> for ApiError {
+    fn from(error: ThinningError) -> Self {
+        match error {
+            ThinningError::Render(error) => error.into(),
+            ThinningError::Store(error) => error.into(),
+            ThinningError::Cancelled(error) => error.into(),
         }
     }
 }

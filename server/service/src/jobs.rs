@@ -52,7 +52,7 @@ pub struct JobLimits {
 /// What is submitted.
 #[derive(Debug, Clone)]
 pub struct Submission {
-    /// "capture", "evaluate" or "path_render".
+    /// "capture", "evaluate", "path_render" or "thin".
     pub kind: &'static str,
     /// The dataset that it adds a version to.
     pub writes: Option<String>,

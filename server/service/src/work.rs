@@ -1,22 +1,27 @@
-//! What jobs do: capture, evaluate, render a path.
+//! What jobs do: capture, evaluate, render a path, thin.
 
 mod capture;
 mod evaluate;
 mod path_render;
+mod publishing;
 mod scene;
+mod thin;
 mod views;
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
+use lumisphere::scenes::Scene;
 use lumisphere::textures::ContentHash;
 use tokio::runtime::Handle;
 
 use crate::catalog::{Catalog, OpenedVersion};
-use crate::errors::ApiError;
+use crate::errors::{ApiError, Reason};
 use crate::frames::Frames;
 use crate::jobs::{Attempt, JobBody, Outcome, ResultBlob};
 use crate::wire::jobs::{JobSpec, SpecLimits, job_spec, recalled};
+use crate::wire::scenes::{SceneSource, scene_source};
+use scene::load_scene;
 
 /// What jobs work with. Runs on the jobs' own threads, never on a tokio worker.
 pub struct Work {
@@ -38,6 +43,7 @@ impl JobBody for Work {
             JobSpec::Capture(spec) => self.capture(&spec, attempt),
             JobSpec::Evaluate(spec) => self.evaluate(&spec, attempt),
             JobSpec::PathRender(spec) => self.path_render(&spec, attempt),
+            JobSpec::Thin(spec) => self.thin(&spec, attempt),
         }
     }
 
@@ -59,6 +65,17 @@ impl JobBody for Work {
 impl Work {
     fn open(&self, dataset: &str, version: u64) -> Result<Arc<OpenedVersion>, ApiError> {
         self.catalog.open_version(dataset, version)
+    }
+
+    /// Where a version came from, and the scene that it was captured of.
+    fn captured_scene(&self, version: &OpenedVersion) -> Result<(SceneSource, Scene), ApiError> {
+        let source = version.origin.as_ref().and_then(|o| o.scene()).ok_or_else(|| {
+            let message = format!("dataset {} version {} does not say from which scene it was captured", version.dataset, version.version);
+            ApiError::new(Reason::DatasetKindMismatch, message)
+        })?;
+        let source = scene_source(Some(source.clone()), "scene")?;
+        let scene = load_scene(&source, self.catalog.store(), self.scene_bytes)?;
+        Ok((source, scene))
     }
 
     /// Keeps a result's bytes.

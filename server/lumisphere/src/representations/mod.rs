@@ -9,6 +9,7 @@ mod page_source;
 mod provenance;
 mod requests;
 
+use std::any::Any;
 use std::sync::Arc;
 
 use serde::Serialize;
@@ -131,6 +132,9 @@ impl Settings {
 pub trait Representation: std::fmt::Debug + Send + Sync {
     /// Which it is.
     fn kind(&self) -> Kind;
+
+    /// Itself, for work that only one kind knows.
+    fn as_any(&self) -> &dyn Any;
 
     /// How many pages its dataset has.
     fn page_count(&self) -> usize;

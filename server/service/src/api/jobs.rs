@@ -76,6 +76,7 @@ fn submit(app: &App, message: Option<proto::JobSpec>, id: String) -> Result<JobV
             }
             Some(capture.dataset.clone())
         }
+        JobSpec::Thin(thin) => Some(thin.into.clone()),
         JobSpec::Evaluate(_) | JobSpec::PathRender(_) => None,
     };
     let asked = digest(&message);

@@ -7,7 +7,7 @@ use crate::wire::proto::{self, system_server::System};
 use crate::wire::{API, MAX_CHUNK_BYTES, MAX_FRAME_MESSAGE_BYTES, MAX_REQUEST_BYTES};
 
 /// Sorted.
-const FEATURES: [&str; 13] = [
+const FEATURES: [&str; 14] = [
     "encoding.exr",
     "encoding.jpeg",
     "encoding.png",
@@ -18,6 +18,7 @@ const FEATURES: [&str; 13] = [
     "job.capture",
     "job.evaluate",
     "job.path_render",
+    "job.thin",
     "reflection",
     "representation.offset_surface_light_field",
     "upload.resumable",

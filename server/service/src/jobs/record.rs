@@ -22,7 +22,7 @@ pub struct Record {
     format: u32,
     /// Counts submissions; the name is made of it.
     pub number: u64,
-    /// "capture", "evaluate" or "path_render".
+    /// "capture", "evaluate", "path_render" or "thin".
     pub kind: String,
     /// The dataset that it adds a version to.
     pub writes: Option<String>,

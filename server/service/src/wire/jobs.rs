@@ -1,5 +1,6 @@
 //! Job specifications in, jobs out.
 
+use lumisphere::evaluate::ThinMetric;
 use lumisphere::geometry::Camera;
 use lumisphere::representations::offset_surface_light_field::Spacing;
 use lumisphere::textures::{Codec, ContentHash, PixelFormat};
@@ -25,6 +26,8 @@ pub enum JobSpec {
     Evaluate(EvaluateSpec),
     /// Dataset version to frames.
     PathRender(PathRenderSpec),
+    /// Dataset version to a smaller one.
+    Thin(Box<ThinSpec>),
 }
 
 /// Scene to dataset version.
@@ -133,6 +136,31 @@ pub struct PathRenderSpec {
     pub output: Output,
 }
 
+/// Dataset version to a smaller one.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ThinSpec {
+    /// Which.
+    pub dataset: String,
+    /// 0: the latest.
+    pub version: u64,
+    /// Where the thinned one goes.
+    pub into: String,
+    /// Whose error is bounded.
+    pub settings: RenderSettings,
+    /// The bound.
+    pub max_error: f64,
+    /// Of what.
+    pub metric: ThinMetric,
+    /// Of validation.
+    pub windows: u32,
+    /// Paths per pixel.
+    pub truth_samples_per_pixel: u32,
+    /// Of the windows and their truth.
+    pub seed: u64,
+    /// Of the cube maps' pages.
+    pub codec: Codec,
+}
+
 /// Limits that specifications are held to.
 #[derive(Debug, Clone, Copy)]
 pub struct SpecLimits {
@@ -143,12 +171,13 @@ pub struct SpecLimits {
 }
 
 impl JobSpec {
-    /// "capture", "evaluate" or "path_render".
+    /// "capture", "evaluate", "path_render" or "thin".
     pub fn kind(&self) -> &'static str {
         match self {
             Self::Capture(_) => "capture",
             Self::Evaluate(_) => "evaluate",
             Self::PathRender(_) => "path_render",
+            Self::Thin(_) => "thin",
         }
     }
 
@@ -158,6 +187,7 @@ impl JobSpec {
             Self::Capture(_) => None,
             Self::Evaluate(e) => Some((&e.dataset, e.version)),
             Self::PathRender(p) => Some((&p.dataset, p.version)),
+            Self::Thin(t) => Some((&t.dataset, t.version)),
         }
     }
 
@@ -167,6 +197,7 @@ impl JobSpec {
             Self::Capture(_) => &[],
             Self::Evaluate(e) => &e.settings,
             Self::PathRender(p) => std::slice::from_ref(&p.settings),
+            Self::Thin(t) => std::slice::from_ref(&t.settings),
         }
     }
 }
@@ -183,6 +214,7 @@ pub fn job_spec(message: Option<proto::JobSpec>, limits: &SpecLimits) -> Result<
         Spec::Capture(m) => JobSpec::Capture(Box::new(capture(m, "spec.capture")?)),
         Spec::Evaluate(m) => JobSpec::Evaluate(evaluate(m, limits, "spec.evaluate")?),
         Spec::PathRender(m) => JobSpec::PathRender(path_render(m, limits, "spec.path_render")?),
+        Spec::Thin(m) => JobSpec::Thin(Box::new(thin(m, "spec.thin")?)),
     })
 }
 
@@ -197,6 +229,7 @@ pub fn remembered(mut message: proto::JobSpec, version: Option<u64>) -> Vec<u8> 
     match (&mut message.spec, version) {
         (Some(Spec::Evaluate(m)), Some(version)) => m.version = version,
         (Some(Spec::PathRender(m)), Some(version)) => m.version = version,
+        (Some(Spec::Thin(m)), Some(version)) => m.version = version,
         (Some(Spec::Capture(_)) | None, _) | (_, None) => {}
     }
     message.encode_to_vec()
@@ -236,14 +269,7 @@ fn capture(m: proto::CaptureSpec, field: &str) -> Result<CaptureSpec, ApiError> 
         Ok(proto::PixelFormat::F32) => PixelFormat::F32,
         Err(_) => return Err(ApiError::field(at("pixel_format"), format!("{}, F16 or F32 expected", m.pixel_format))),
     };
-    let codec = match proto::Codec::try_from(m.codec) {
-        Ok(proto::Codec::Unspecified) => Codec::DEFAULT,
-        Ok(proto::Codec::ZstdChunk) => Codec::ZstdChunk,
-        Ok(proto::Codec::ZstdSeq) => Codec::ZstdSeq,
-        Ok(proto::Codec::LzwSeq) => Codec::LzwSeq,
-        Ok(proto::Codec::BitsChunk) => Codec::BitsChunk,
-        Err(_) => return Err(ApiError::field(at("codec"), format!("{}, a codec's number expected", m.codec))),
-    };
+    let codec = codec(m.codec, &at("codec"))?;
     Ok(CaptureSpec {
         scene: scene_source(m.scene.clone(), &at("scene"))?,
         scene_message: required(m.scene, &at("scene"))?,
@@ -297,6 +323,45 @@ fn evaluate(m: proto::EvaluateSpec, limits: &SpecLimits, field: &str) -> Result<
         seed: m.seed,
         max_bounces: if m.max_bounces == 0 { None } else { Some(count(m.max_bounces, 0, 1, 64, &at("max_bounces"))?) },
         timed_frames_per_view: count(m.timed_frames_per_view, 4, 1, 1000, &at("timed_frames_per_view"))?,
+    })
+}
+
+fn codec(number: i32, field: &str) -> Result<Codec, ApiError> {
+    Ok(match proto::Codec::try_from(number) {
+        Ok(proto::Codec::Unspecified) => Codec::DEFAULT,
+        Ok(proto::Codec::ZstdChunk) => Codec::ZstdChunk,
+        Ok(proto::Codec::ZstdSeq) => Codec::ZstdSeq,
+        Ok(proto::Codec::LzwSeq) => Codec::LzwSeq,
+        Ok(proto::Codec::BitsChunk) => Codec::BitsChunk,
+        Err(_) => return Err(ApiError::field(field, format!("{number}, a codec's number expected"))),
+    })
+}
+
+fn thin(m: proto::ThinSpec, field: &str) -> Result<ThinSpec, ApiError> {
+    let at = |name: &str| format!("{field}.{name}");
+    if !(m.max_error > 0.0 && m.max_error.is_finite()) {
+        return Err(ApiError::field(at("max_error"), format!("{}, a number above 0 expected", m.max_error)));
+    }
+    let settings = render_settings(m.settings, &at("settings"))?;
+    if settings.settings.brdf().is_some() {
+        return Err(ApiError::field(at("settings.component"), "GLOSSY, another component expected"));
+    }
+    let metric = match proto::ThinMetric::try_from(m.metric) {
+        Ok(proto::ThinMetric::Unspecified | proto::ThinMetric::DeltaE) => ThinMetric::DeltaE,
+        Ok(proto::ThinMetric::RmseL) => ThinMetric::RmseLightness,
+        Err(_) => return Err(ApiError::field(at("metric"), format!("{}, DELTA_E or RMSE_L expected", m.metric))),
+    };
+    Ok(ThinSpec {
+        dataset: dataset_name(&m.dataset, &at("dataset"))?,
+        version: m.version,
+        into: dataset_name(&m.into, &at("into"))?,
+        settings,
+        max_error: m.max_error,
+        metric,
+        windows: count(m.windows, 256, 16, 4096, &at("windows"))?,
+        truth_samples_per_pixel: count(m.truth_samples_per_pixel, 256, 1, 65_536, &at("truth_samples_per_pixel"))?,
+        seed: m.seed,
+        codec: codec(m.codec, &at("codec"))?,
     })
 }
 
@@ -390,7 +455,7 @@ pub fn listed_job(view: &JobView) -> Result<proto::Job, ApiError> {
                 list.cameras.clear();
             }
         }
-        None => {}
+        Some(Spec::Thin(_)) | None => {}
     }
     Ok(job)
 }

@@ -9,14 +9,12 @@ use lumisphere::raytrace::TraceSettings;
 use lumisphere::render::Refine;
 
 use super::Work;
-use super::scene::load_scene;
 use super::views::cameras;
-use crate::errors::{ApiError, Reason};
+use crate::errors::ApiError;
 use crate::frames::{FrameOrder, color_image};
 use crate::jobs::{Attempt, Outcome, ResultBlob};
 use crate::render_queue::Priority;
 use crate::wire::jobs::{EvaluateSpec, Truth};
-use crate::wire::scenes::scene_source;
 use crate::wire::settings::{Encoding, Output};
 
 /// Pictures of the first view are kept as EXR too; all are kept as PNG.
@@ -32,11 +30,7 @@ struct Captured {
 impl Work {
     pub(super) fn evaluate(&self, spec: &EvaluateSpec, attempt: &Attempt) -> Result<Outcome, ApiError> {
         let version = self.open(&spec.dataset, spec.version)?;
-        let source = version.origin.as_ref().and_then(|o| o.scene()).ok_or_else(|| {
-            let message = format!("dataset {} version {} does not say from which scene it was captured", spec.dataset, version.version);
-            ApiError::new(Reason::DatasetKindMismatch, message)
-        })?;
-        let scene = load_scene(&scene_source(Some(source.clone()), "scene")?, self.catalog.store(), self.scene_bytes)?;
+        let (_, scene) = self.captured_scene(&version)?;
         let manifest = version.pages.version.manifest();
         let captured: Captured = serde_json::from_value(manifest.parameters.clone()).map_err(ApiError::internal)?;
         let plan = Plan {

@@ -30,6 +30,7 @@ mod storage;
 pub(crate) mod tests;
 mod thinning;
 
+use std::any::Any;
 use std::sync::Arc;
 
 use glam::Vec3;
@@ -334,6 +335,10 @@ impl OffsetSurfaceLightField {
 impl Representation for OffsetSurfaceLightField {
     fn kind(&self) -> Kind {
         Kind::OffsetSurfaceLightField
+    }
+
+    fn as_any(&self) -> &dyn Any {
+        self
     }
 
     fn page_count(&self) -> usize {
