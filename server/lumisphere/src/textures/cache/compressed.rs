@@ -40,6 +40,12 @@ impl CompressedTier {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
+    /// Its lock, for a test of who waits for it.
+    #[cfg(test)]
+    pub fn held(&self) -> MutexGuard<'_, impl Sized> {
+        self.state()
+    }
+
     /// Whether it may hold anything.
     pub fn is_on(&self) -> bool {
         self.state().stats.budget_bytes > 0
