@@ -220,6 +220,16 @@ mod tests {
         assert!(times.index(3, 10) > 10.0 * times.index(4, 10));
     }
 
+    /// Of all pages each comes back after 1000; the only one of its class that was seen came back after 100.
+    #[test]
+    fn a_class_of_which_little_was_seen_is_worth_what_all_are() {
+        let mut times = ReuseTimes::new();
+        (0..100_000).for_each(|_| times.reused.add(3, 1000));
+        times.reused.add(4, 100);
+        times.learn(&Counts::new());
+        assert!(times.index(4, 0) < 2.0 * times.index(3, 0), "{}, {}", times.index(4, 0), times.index(3, 0));
+    }
+
     proptest! {
         /// The definition: every horizon tried.
         #[test]

@@ -190,9 +190,9 @@ fn requests(kind: u32, count: u64, rng: &mut Pcg32) -> Vec<u64> {
 
 const OTHERS: [PolicyKind; 4] = [PolicyKind::Lru, PolicyKind::Clock, PolicyKind::Arc, PolicyKind::S3Fifo];
 
-/// Misses with room for 64 pages, and the fewest of the others.
-fn against_the_best_of_others(trace: &[u64]) -> (u64, u64) {
-    let misses = |kind| Pool::new(kind, 64).misses(trace.iter().copied());
+/// Misses with room for so many pages, and the fewest of the others.
+fn against_the_best_of_others(capacity: usize, trace: &[u64]) -> (u64, u64) {
+    let misses = |kind| Pool::new(kind, capacity).misses(trace.iter().copied());
     (misses(PolicyKind::Gittins), OTHERS.map(misses).into_iter().min().unwrap())
 }
 
@@ -201,7 +201,7 @@ fn against_the_best_of_others(trace: &[u64]) -> (u64, u64) {
 fn it_is_near_the_best_of_the_others_on_every_kind_of_requests() {
     let mut rng = Pcg32::seed_from_u64(7);
     for (kind, bound) in [(0, 0.6), (1, 1.005), (2, 1.04)] {
-        let (ours, best) = against_the_best_of_others(&requests(kind, 50_000, &mut rng));
+        let (ours, best) = against_the_best_of_others(64, &requests(kind, 50_000, &mut rng));
         assert!(ours as f64 <= bound * best as f64, "kind {kind}: {ours} misses, the best of the others {best}");
     }
 }
@@ -212,9 +212,54 @@ fn requests_that_change_their_kind_do_not_mislead_it() {
     for (length, bound) in [(500, 0.95), (5000, 0.82), (20_000, 0.75)] {
         let mut rng = Pcg32::seed_from_u64(7);
         let trace: Vec<u64> = (0..30).flat_map(|k| requests(k % 3, length, &mut rng)).collect();
-        let (ours, best) = against_the_best_of_others(&trace);
+        let (ours, best) = against_the_best_of_others(64, &trace);
         assert!(ours as f64 <= bound * best as f64, "{length} at a time: {ours} misses, the best of the others {best}");
     }
+}
+
+/// Half of all requests go to 48 pages, the others to pages that are asked for just twice, as far apart as those come back.
+fn often_or_just_twice(count: usize) -> Vec<u64> {
+    let mut rng = Pcg32::seed_from_u64(2);
+    let mut again: Vec<(usize, u64)> = vec![];
+    let request = |now: usize| {
+        if rng.random_range(0..2u32) == 0 {
+            return rng.random_range(0..48);
+        }
+        if let Some(at) = again.iter().position(|(when, _)| *when <= now) {
+            return again.swap_remove(at).1;
+        }
+        let page = 1000 + now as u64;
+        again.push((now + (-96.0 * (1.0 - rng.random::<f64>()).ln()) as usize, page));
+        page
+    };
+    (0..count).map(request).collect()
+}
+
+/// Measured: 0.74 of the others' misses, and as many as they by a class of the interval alone.
+#[test]
+fn how_often_a_page_was_used_tells_pages_apart_whose_intervals_are_alike() {
+    let (ours, best) = against_the_best_of_others(64, &often_or_just_twice(60_000));
+    assert!(ours as f64 <= 0.8 * best as f64, "{ours} misses, the best of the others {best}");
+}
+
+/// Pages in turn, loop by loop; each request goes to a loop at random, by its share of them.
+fn loops(parts: &[(u64, u64)], count: u64) -> Vec<u64> {
+    let mut rng = Pcg32::seed_from_u64(3);
+    let by_share: Vec<usize> = (0..parts.len()).flat_map(|part| std::iter::repeat_n(part, parts[part].1 as usize)).collect();
+    let mut at = vec![0; parts.len()];
+    let request = |_| {
+        let part = by_share[rng.random_range(0..by_share.len())];
+        at[part] += 1;
+        100_000 * part as u64 + at[part] % parts[part].0
+    };
+    (0..count).map(request).collect()
+}
+
+/// Measured: 0.80 of the others' misses, and 1.07 where intervals a factor of 64 apart are one class.
+#[test]
+fn how_long_a_page_was_away_tells_a_short_loop_from_a_long_one() {
+    let (ours, best) = against_the_best_of_others(200, &loops(&[(150, 1), (100, 3)], 60_000));
+    assert!(ours as f64 <= 0.86 * best as f64, "{ours} misses, the best of the others {best}");
 }
 
 /// Without being told of frames it comes near what is possible: what a scan needs soonest was used longest ago.
