@@ -98,6 +98,31 @@ fn the_last_vertex_asked_alone_shows_what_both_strategies_show() {
 }
 
 #[test]
+fn a_sky_and_an_area_light_together_show_the_sum_of_each_alone() {
+    // A lamp above the ball that reflects nothing, so that the three scenes differ in light only.
+    let lit = |sky: Environment, emission: Option<Vec3>| {
+        let mut scene = yard();
+        let lamp = quad([Vec3::new(0.0, 1.8, -0.3), Vec3::new(0.6, 1.8, -0.3), Vec3::new(0.6, 1.8, 0.3), Vec3::new(0.0, 1.8, 0.3)]);
+        scene.materials.push(diffuse(0.0));
+        let lamp = Object { name: "lamp".into(), mesh: lamp, surface: Surface::Mesh, material: scene.materials.len() - 1, emission };
+        scene.objects.push(lamp);
+        scene.environment = sky;
+        Tracer::new(&scene).unwrap()
+    };
+    let radiance = Some(Vec3::splat(12.0));
+    let [both, sky, lamp] = [lit(sunny(), radiance), lit(sunny(), None), lit(Environment::Constant(Vec3::ZERO), radiance)];
+    let view = camera(Vec3::new(0.2, 1.2, 2.5), Vec3::new(0.0, 0.3, 0.0), 50.0, 48);
+    for bounces in [1, 2] {
+        let picture = |tracer: &Tracer, seed| mean_and_deviation(&render(tracer, &view, &TraceSettings { seed, ..settings(32, bounces) }));
+        let (both, sky, lamp) = (picture(&both, 1), picture(&sky, 2), picture(&lamp, 3));
+        let z = |expected: f64| (both.0 - expected).abs() / both.1.hypot(sky.1).hypot(lamp.1);
+        assert!(z(sky.0 + lamp.0) < 4.5, "{bounces} bounces: {both:?}, {sky:?} and {lamp:?}");
+        // The control: neither is so weak that its loss would not show.
+        assert!(z(sky.0) > 9.0 && z(lamp.0) > 9.0, "{bounces} bounces: {both:?}, {sky:?} and {lamp:?}");
+    }
+}
+
+#[test]
 fn directions_are_drawn_nearly_as_light_times_cosine() {
     let environment = sunny();
     let Sky::Map(map) = Sky::new(&environment) else { panic!("a map") };
