@@ -79,10 +79,10 @@ fn the_paper_s_tables_have_all_its_lines_and_misses_fall_with_size_and_strategy(
     // A narrower lobe stays nearer: fewer pages.
     let narrower: Vec<f64> = faces[2..].iter().map(|name| number(of_table(name)[3], "buckets_percent")).collect();
     assert!(narrower.is_sorted_by(|wide, narrow| wide > narrow), "{narrower:?}");
-    // Measured, but for lobes without a cache.
+    // Measured where the paper did, but for lobes without a cache.
     for row in printed.as_array().unwrap() {
         let (table, size) = (row["table"].as_str().unwrap(), row["size"].as_u64().unwrap());
-        let is_measured = !table.starts_with("6.3") && (size > 0 || !table.contains("glossy"));
+        let is_measured = !table.starts_with("6.3") && (size > 0 || !table.contains("glossy")) && row["paper_seconds"].is_number();
         assert_eq!(row["scanlines_seconds"].is_number(), is_measured, "{row}");
     }
 }

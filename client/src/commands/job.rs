@@ -179,7 +179,7 @@ pub struct ThinArguments {
     /// Dataset to add the thinned version to; created when there is none
     #[arg(long, value_name = "NAME")]
     into: String,
-    /// At most this error, of small windows of pictures from everywhere, against path-traced truth
+    /// At most this error, of small windows of pictures from everywhere, against path-traced truth; no less than the dataset's own
     #[arg(long, value_name = "ERROR")]
     max_error: f64,
     /// Which error: mean CIEDE2000 difference, or RMSE of L* / 100
@@ -191,7 +191,7 @@ pub struct ThinArguments {
     /// How it is read
     #[arg(long, default_value = "corrected")]
     blend: Blend,
-    /// How many windows, 16 to 4096 [default: 256]
+    /// How many windows, 16 to 16384 [default: 4096]
     #[arg(long, value_name = "N")]
     windows: Option<u32>,
     /// Paths per pixel of the windows' truth [default: 256]

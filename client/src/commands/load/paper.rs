@@ -153,8 +153,8 @@ struct Row {
     paper_seconds: Option<u32>,
     scanlines_percent: f64,
     buckets_percent: f64,
-    /// Of the scanlines' requests through a real cache on the server, as the dataset is stored; none unless asked for, and without a cache
-    /// where there are many directions.
+    /// Of the scanlines' requests through a real cache on the server, as the dataset is stored; none unless asked for, where the paper has
+    /// none, and without a cache where there are many directions.
     scanlines_seconds: Option<f64>,
 }
 
@@ -245,9 +245,9 @@ impl PaperTable {
         }
     }
 
-    /// Every fetch of a lobe from disk would take the server longer than it replays.
+    /// As the paper did; but every fetch of a lobe from disk would take the server longer than it replays.
     fn is_measured(&self, row: &Row) -> bool {
-        row.size > 0 || self.requests.lobe_exponent().is_none()
+        row.paper_seconds.is_some() && (row.size > 0 || self.requests.lobe_exponent().is_none())
     }
 
     async fn measure(&self, context: &Context, trace: &Trace, rows: &mut [Row]) -> anyhow::Result<()> {

@@ -1,7 +1,8 @@
 //! A light field no larger than an error bound needs: sample points and face size, by validation views of their own.
 //!
 //! Held-out poses stay held out: the views are small windows of a camera that looks at places all over the object's surface from where
-//! they can be seen, each place as likely as its part of all pictures of the object.
+//! they can be seen, each place as likely as its part of all pictures of the object. One set of windows says what goes first, another, from
+//! other directions, how much may go: what is chosen by a set's errors looks better by that set than it is.
 
 use std::collections::HashSet;
 
@@ -23,8 +24,8 @@ use crate::representations::offset_surface_light_field::{
 use crate::representations::{PageSource, Settings as AnySettings};
 use crate::scenes::Scene;
 
-/// A window's edge: its rim tells only whether the pixels within count.
-const WINDOW_PX: u32 = 12;
+/// A window's edge: its rim tells only whether the pixels within count. Many small ones tell more than few large ones.
+const WINDOW_PX: u32 = 5;
 /// Height of the whole picture, of which a window is a part, and its field of view.
 const PICTURE_PX: f32 = 480.0;
 const FIELD_OF_VIEW_DEG: f32 = 40.0;
@@ -54,7 +55,7 @@ pub struct ThinPlan {
     pub metric: ThinMetric,
     /// The bound.
     pub max_error: f64,
-    /// How many windows.
+    /// How many windows of either set.
     pub windows: u32,
     /// Of the windows' truth.
     pub trace: TraceSettings,
@@ -150,14 +151,16 @@ pub fn thin(
 ) -> Result<(OffsetSurfaceLightField, Kept, ThinReport), ThinError> {
     let name = &field.parameters.object;
     let object = scene.object(name).ok_or_else(|| ThinError::NoObject(name.clone()))?;
-    let views = validation_views(scene, object, field, plan, progress)?;
+    let first_views = validation_views(scene, object, field, plan, 0, progress)?;
+    let views = validation_views(scene, object, field, plan, 1, progress)?;
     let tracer = Tracer::new(scene)?;
     let lift = 0.1 * field.parameters.epsilon;
     let visible = |texel: SamplePoint, sample: Vec3| !tracer.occluded(texel.position + lift * texel.normal, sample);
     let metric = plan.metric;
     let error = |shown: Vec3, reference: Vec3| metric.of_pixel(shown, reference);
+    let first = Thinning::new(field, plan.settings, source, &first_views, (&error, &visible));
     let thinning = Thinning::new(field, plan.settings, source, &views, (&error, &visible));
-    if thinning.pixel_count() == 0 {
+    if first.pixel_count() == 0 || thinning.pixel_count() == 0 {
         return Err(ThinError::Unseen);
     }
     let (bound, before) = (metric.to_mean(plan.max_error), thinning.error_before()?);
@@ -166,7 +169,7 @@ pub fn thin(
     if !(before <= bound) {
         return Err(unmet());
     }
-    let order = thinning.order(bound, progress)?;
+    let order = first.order(bound, progress)?;
     let count = field.sample_points.len();
     let texels = |gone: usize, levels: u32| (count - gone + 1) as u64 * (u64::from(field.parameters.face_size_texels) >> levels).pow(2);
     let mut best = (0, 0);
@@ -222,6 +225,7 @@ fn validation_views(
     object: usize,
     field: &OffsetSurfaceLightField,
     plan: &ThinPlan,
+    set: u64,
     progress: &dyn Progress,
 ) -> Result<Vec<ValidationView>, ThinError> {
     let truths = TruthRenderer::new(scene, object)?;
@@ -230,8 +234,9 @@ fn validation_views(
     let distance = DISTANCE_RADII * 0.5 * (high - low).length();
     let places = place_sample_points(&field.surface, Spacing::Count(plan.windows))?;
     let mut views = Vec::new();
-    for (number, place) in (0u64..).zip(&places) {
-        progress.report("tracing validation windows", number, places.len() as u64);
+    let count = places.len() as u64;
+    for (number, place) in (set * count..).zip(&places) {
+        progress.report("tracing validation windows", number, 2 * count);
         let camera = window(place, distance, SampleSequence::new(plan.trace.seed, number, 0).pair());
         let seeded = TraceSettings { seed: plan.trace.seed.wrapping_add(number), ..plan.trace };
         let truth = truths.view(&camera, &[Truth::OneReflection], &seeded, &Silent(progress))?;

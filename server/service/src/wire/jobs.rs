@@ -358,7 +358,7 @@ fn thin(m: proto::ThinSpec, field: &str) -> Result<ThinSpec, ApiError> {
         settings,
         max_error: m.max_error,
         metric,
-        windows: count(m.windows, 256, 16, 4096, &at("windows"))?,
+        windows: count(m.windows, 4096, 16, 16_384, &at("windows"))?,
         truth_samples_per_pixel: count(m.truth_samples_per_pixel, 256, 1, 65_536, &at("truth_samples_per_pixel"))?,
         seed: m.seed,
         codec: codec(m.codec, &at("codec"))?,

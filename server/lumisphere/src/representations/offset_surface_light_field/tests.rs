@@ -10,6 +10,7 @@ mod gpu_equals_cpu;
 mod paging;
 mod recording;
 mod stability;
+mod thinning;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
