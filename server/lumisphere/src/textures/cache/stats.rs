@@ -74,7 +74,7 @@ impl CacheStats {
     }
 
     /// Adds the events of another, sizes aside.
-    pub(super) fn add_events(&mut self, other: &Self) {
+    pub fn add_events(&mut self, other: &Self) {
         self.look_ups += other.look_ups;
         self.hits += other.hits;
         self.misses += other.misses;
