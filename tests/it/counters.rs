@@ -130,11 +130,13 @@ fn metrics_tell_what_cache_stats_tells_of_every_tier_and_dataset() {
             assert_eq!(gauge(name, &labels), count(texels, key), "{name}{{{labels}}} in {texels:#}");
         }
         assert_eq!(gauge("texture_hits", &labels), count(texels, "look_ups") - count(texels, "misses"));
-        for (name, key) in [("texture_bytes", "used_bytes"), ("texture_evictions", "evictions")] {
+        for (name, key) in [("texture_bytes", "used_bytes"), ("texture_peak_bytes", "peak_bytes"), ("texture_evictions", "evictions")] {
             assert_eq!(gauge(name, &labels), count(dataset, key), "{name} in {dataset:#}");
         }
-        // One dataset alone: what leaves is its own.
-        assert_eq!(count(dataset, "evictions"), count(tier(&stats, "memory"), "evictions"));
+        // One dataset alone: what was held and what leaves is its own.
+        for key in ["evictions", "peak_bytes"] {
+            assert_eq!(count(dataset, key), count(tier(&stats, "memory"), key), "{key}");
+        }
     }
     for key in ["hits", "misses", "evictions"] {
         assert!(["compressed", "memory"].iter().all(|name| count(tier(&stats, name), key) > 0), "no {key} in {stats:#}");
@@ -191,4 +193,29 @@ fn what_frames_say_of_the_cache_adds_up_to_its_counters() {
     }
     assert!(sum(&on_adapter, "evictions") > 0, "{drawn:#?}");
     assert!(on_adapter.iter().all(|frame| count(frame, "passes") > 0));
+}
+
+#[test]
+fn peaks_outlast_what_was_held_until_the_counters_are_reset() {
+    let folder = temporary_folder();
+    let server = Server::start(&folder.path().join("data"));
+    tiny::capture(&server, folder.path());
+    server.json(&["cache", "configure", "--compressed-budget-bytes", "30000"]);
+    frames(&server, DATASET, "cpu", FEW, folder.path());
+    if has_adapter(&server) {
+        frames(&server, DATASET, "gpu", FEW, folder.path());
+    }
+    let peaks = |stats: &Value| -> Vec<u64> {
+        let (tiers, datasets) = (stats["tiers"].as_array().unwrap(), stats["datasets"].as_array().unwrap());
+        tiers.iter().chain(datasets).map(|part| count(part, "peak_bytes")).collect()
+    };
+    let held = server.json(&["cache", "stats"]);
+    assert!(peaks(&held).iter().all(|&peak| peak > 0), "{held:#}");
+    let cleared = server.json(&["cache", "clear"]);
+    assert_eq!(peaks(&cleared), peaks(&held));
+    // What a smaller budget leaves no room for was held all the same.
+    let smaller = server.json(&["cache", "configure", "--memory-budget-bytes", "20000"]);
+    assert_eq!(peaks(&smaller), peaks(&held));
+    let reset = server.json(&["cache", "clear", "--reset-counters"]);
+    assert_eq!(peaks(&reset), vec![0; peaks(&held).len()], "{reset:#}");
 }

@@ -282,7 +282,7 @@ impl Cache {
         let residency = self.residency();
         let mut total = CacheStats::default();
         sums.iter().for_each(|sum| total.add_events(sum));
-        with_sizes(total, &residency, residency.total(), residency.peak_bytes)
+        with_sizes(total, &residency, residency.total())
     }
 
     /// Every counter of every tier and version.
@@ -294,12 +294,12 @@ impl Cache {
             dataset: table.dataset.clone(),
             version: table.version,
             strategy: table.strategy(),
-            decoded: with_sizes(sums.get(table.slot as usize).copied().unwrap_or_default(), &residency, residency.share(table.slot), 0),
+            decoded: with_sizes(sums.get(table.slot as usize).copied().unwrap_or_default(), &residency, residency.share(table.slot)),
         });
         let versions = versions.collect();
         let mut total = CacheStats::default();
         sums.iter().for_each(|sum| total.add_events(sum));
-        let decoded = with_sizes(total, &residency, residency.total(), residency.peak_bytes);
+        let decoded = with_sizes(total, &residency, residency.total());
         CacheSnapshot {
             decoded,
             decoded_policy: residency.kind(),
@@ -314,6 +314,12 @@ impl Cache {
     pub fn clear(&self) {
         self.told_residency().clear();
         self.compressed.clear();
+    }
+
+    /// Peaks begin anew with what is held now.
+    pub fn forget_peaks(&self) {
+        self.residency().forget_peaks();
+        self.compressed.forget_peak();
     }
 
     /// Changes the budget of decoded pages; those that no longer fit leave at once.
@@ -418,12 +424,12 @@ impl Cache {
     }
 }
 
-fn with_sizes(events: CacheStats, residency: &Residency, share: residency::Share, peak_bytes: u64) -> CacheStats {
+fn with_sizes(events: CacheStats, residency: &Residency, share: residency::Share) -> CacheStats {
     CacheStats {
         evictions: share.evictions,
         resident_pages: share.pages,
         resident_bytes: share.bytes,
-        peak_bytes,
+        peak_bytes: share.peak_bytes,
         budget_bytes: residency.budget,
         ..events
     }
