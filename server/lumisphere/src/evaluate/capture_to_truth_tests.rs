@@ -13,7 +13,7 @@ use crate::render::Renderer;
 use crate::representations::offset_surface_light_field as oslf;
 use crate::representations::{FrameRequest, Outputs, Refine, RenderError, Representation};
 use crate::scenes::{LoadOptions, SceneBundle, load};
-use crate::textures::{Page, PageId, PixelFormat, Publication, Store, StoreOptions};
+use crate::textures::{Codec, Page, PageId, PixelFormat, Publication, Store, StoreOptions};
 use oslf::tests::fixture::MemoryPages;
 use oslf::{Blend, Component, ConstructSettings, Filter, OffsetSurfaceLightField, PartsError, Spacing, construct, from_parts};
 
@@ -75,6 +75,7 @@ fn captured(scene: &Scene) -> Stored {
         face_size_texels: 32,
         sample_map_size_texels: 32,
         pixel_format: PixelFormat::F16,
+        codec: Codec::DEFAULT,
         samples_per_texel: 8,
         max_bounces: 1,
         seed: 5,
