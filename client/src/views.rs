@@ -218,6 +218,7 @@ pub struct CacheUse {
     bytes_redundant: u64,
     read_micros: u64,
     decode_micros: u64,
+    wait_micros: u64,
     /// null on the CPU.
     adapter: Option<AdapterCacheUse>,
 }
@@ -269,6 +270,7 @@ impl From<wire::FrameCacheUse> for CacheUse {
             bytes_redundant: c.bytes_redundant,
             read_micros: c.read_micros,
             decode_micros: c.decode_micros,
+            wait_micros: c.wait_micros,
             adapter: c.adapter.map(AdapterCacheUse::from),
         }
     }

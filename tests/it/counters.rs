@@ -45,7 +45,7 @@ const TEXELS: [(&str, &str); 16] = [
 ];
 
 /// A frame's key and that of `cache stats`, whatever computed the frame.
-const FRAME: [(&str, &str); 7] = [
+const FRAME: [(&str, &str); 13] = [
     ("look_ups", "look_ups"),
     ("misses", "misses"),
     ("read_bytes", "bytes_read"),
@@ -53,10 +53,13 @@ const FRAME: [(&str, &str); 7] = [
     ("texel_misses", "texel_misses"),
     ("page_visits", "page_visits"),
     ("visit_misses", "visit_misses"),
+    ("coalesced", "coalesced"),
+    ("blocks_read", "blocks_read"),
+    ("rows_decoded", "rows_decoded"),
+    ("bytes_decoded", "bytes_decoded"),
+    ("rows_redundant", "rows_redundant"),
+    ("bytes_redundant", "bytes_redundant"),
 ];
-
-/// The same in both; only of whole pages, which the GPU asks for.
-const PAGES: [&str; 6] = ["coalesced", "blocks_read", "rows_decoded", "bytes_decoded", "rows_redundant", "bytes_redundant"];
 
 /// A frame's key and that of the adapter's tier.
 const ADAPTER: [(&str, &str); 7] = [
@@ -127,11 +130,13 @@ fn metrics_tell_what_cache_stats_tells_of_every_tier_and_dataset() {
             assert_eq!(gauge(name, &labels), count(texels, key), "{name}{{{labels}}} in {texels:#}");
         }
         assert_eq!(gauge("texture_hits", &labels), count(texels, "look_ups") - count(texels, "misses"));
-        for (name, key) in [("texture_bytes", "used_bytes"), ("texture_evictions", "evictions")] {
+        for (name, key) in [("texture_bytes", "used_bytes"), ("texture_peak_bytes", "peak_bytes"), ("texture_evictions", "evictions")] {
             assert_eq!(gauge(name, &labels), count(dataset, key), "{name} in {dataset:#}");
         }
-        // One dataset alone: what leaves is its own.
-        assert_eq!(count(dataset, "evictions"), count(tier(&stats, "memory"), "evictions"));
+        // One dataset alone: what was held and what leaves is its own.
+        for key in ["evictions", "peak_bytes"] {
+            assert_eq!(count(dataset, key), count(tier(&stats, "memory"), key), "{key}");
+        }
     }
     for key in ["hits", "misses", "evictions"] {
         assert!(["compressed", "memory"].iter().all(|name| count(tier(&stats, name), key) > 0), "no {key} in {stats:#}");
@@ -139,46 +144,78 @@ fn metrics_tell_what_cache_stats_tells_of_every_tier_and_dataset() {
     assert!(count(&stats["texels"], "rows_redundant") > 0, "{stats:#}");
 }
 
+/// What frames say is what the cache has counted meanwhile, and something had to be read again.
+fn assert_adds_up(drawn: &[Value], before: &Value, after: &Value) {
+    let growth = |key| growth(&before["texels"], &after["texels"], key);
+    for (of_frames, key) in FRAME {
+        assert_eq!(sum(drawn, of_frames), growth(key), "{of_frames} of {drawn:#?}");
+    }
+    // A frame's microseconds are whole ones.
+    for key in ["read_micros", "decode_micros", "wait_micros"] {
+        let (told, all) = (sum(drawn, key), growth(key));
+        assert!(told <= all + 1 && all <= told + drawn.len() as u64, "{key}: {told} of {all}");
+    }
+    for key in ["misses", "read_bytes", "rows_redundant", "read_micros", "decode_micros"] {
+        assert!(sum(drawn, key) > 0, "no {key} in {drawn:#?}");
+    }
+}
+
 #[test]
 fn what_frames_say_of_the_cache_adds_up_to_its_counters() {
     let folder = temporary_folder();
     let server = Server::start(&folder.path().join("data"));
     tiny::capture(&server, folder.path());
-    let before = server.json(&["cache", "stats"]);
+    // Little memory: rows are decoded again.
+    let before = server.json(&["cache", "configure", "--memory-budget-bytes", "20000"]);
     let drawn = frames(&server, DATASET, "cpu", FEW, folder.path());
-    let after = server.json(&["cache", "stats"]);
+    assert_adds_up(&drawn, &before, &server.json(&["cache", "stats"]));
     assert!(sum(&drawn, "texel_fetches") > 0 && sum(&drawn, "texel_misses") > 0, "{drawn:#?}");
-    for (of_frames, key) in FRAME {
-        assert_eq!(sum(&drawn, of_frames), growth(&before["texels"], &after["texels"], key), "{of_frames}");
-    }
     assert!(drawn.iter().all(|frame| frame["adapter"].is_null()));
 
     if !has_adapter(&server) {
         return;
     }
-    // Little memory, and on the adapter room for one dataset: the second one displaces the first, which comes back. A frame as large as
-    // what the adapter draws at once takes all that any frame takes beside its pages.
+    // On the adapter room for one dataset: the second one displaces the first, which comes back. A frame as large as what the adapter draws
+    // at once takes all that any frame takes beside its pages.
     tiny::capture_with(&server, folder.path(), "second", &[&QUICK[..], &["--seed", "5"]].concat());
     let large = |dataset: &str| frames(&server, dataset, "gpu", ("1", "720x720"), folder.path());
     large(DATASET);
     let held = count(tier(&server.json(&["cache", "stats"]), "gpu"), "used_bytes");
     let room = (held + held / 2).to_string();
-    let before = server.json(&["cache", "configure", "--gpu-budget-bytes", &room, "--memory-budget-bytes", "20000"]);
+    let before = server.json(&["cache", "configure", "--gpu-budget-bytes", &room]);
     let drawn: Vec<Value> = [DATASET, "second", DATASET].into_iter().flat_map(large).collect();
     assert!(drawn.iter().all(|frame| frame["adapter"].is_object()), "drawn by the CPU: {drawn:#?}");
     let after = server.json(&["cache", "stats"]);
-    for key in FRAME.into_iter().chain(PAGES.map(|key| (key, key))) {
-        assert_eq!(sum(&drawn, key.0), growth(&before["texels"], &after["texels"], key.1), "{key:?} of {drawn:#?}");
-    }
-    // A frame's microseconds are whole ones.
-    for key in ["read_micros", "decode_micros"] {
-        let (told, all) = (sum(&drawn, key), growth(&before["texels"], &after["texels"], key));
-        assert!(told > 0 && told <= all + 1 && all <= told + drawn.len() as u64, "{key}: {told} of {all}");
-    }
+    assert_adds_up(&drawn, &before, &after);
     let on_adapter: Vec<Value> = drawn.iter().map(|frame| frame["adapter"].clone()).collect();
     for (of_frames, key) in ADAPTER {
         assert_eq!(sum(&on_adapter, of_frames), growth(tier(&before, "gpu"), tier(&after, "gpu"), key), "{of_frames}");
     }
-    assert!(sum(&on_adapter, "evictions") > 0 && sum(&drawn, "rows_redundant") > 0, "{drawn:#?}");
+    assert!(sum(&on_adapter, "evictions") > 0, "{drawn:#?}");
     assert!(on_adapter.iter().all(|frame| count(frame, "passes") > 0));
+}
+
+#[test]
+fn peaks_outlast_what_was_held_until_the_counters_are_reset() {
+    let folder = temporary_folder();
+    let server = Server::start(&folder.path().join("data"));
+    tiny::capture(&server, folder.path());
+    server.json(&["cache", "configure", "--compressed-budget-bytes", "30000"]);
+    frames(&server, DATASET, "cpu", FEW, folder.path());
+    if has_adapter(&server) {
+        frames(&server, DATASET, "gpu", FEW, folder.path());
+    }
+    let peaks = |stats: &Value| -> Vec<u64> {
+        let (tiers, datasets) = (stats["tiers"].as_array().unwrap(), stats["datasets"].as_array().unwrap());
+        tiers.iter().chain(datasets).map(|part| count(part, "peak_bytes")).collect()
+    };
+    let held = server.json(&["cache", "stats"]);
+    assert!(peaks(&held).iter().all(|&peak| peak > 0), "{held:#}");
+    let cleared = server.json(&["cache", "clear"]);
+    assert_eq!(peaks(&cleared), peaks(&held));
+    // What a smaller budget leaves no room for was held all the same.
+    let smaller = server.json(&["cache", "configure", "--memory-budget-bytes", "20000"]);
+    assert_eq!(peaks(&smaller), peaks(&held));
+    let reset = server.json(&["cache", "clear", "--reset-counters"]);
+    assert_eq!(peaks(&reset), vec![0; peaks(&held).len()], "{reset:#}");
 }

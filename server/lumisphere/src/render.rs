@@ -280,6 +280,12 @@ impl Renderer {
         side.tier().set_budget(budget_bytes);
     }
 
+    /// The peak of [`Self::gpu_stats`] begins anew with what is held now. Nothing without a GPU.
+    pub fn forget_gpu_peak(&self) {
+        let Some(side) = &self.gpu else { return };
+        side.tier().forget_peak();
+    }
+
     /// Changes which pages leave the device when others need their place. Nothing without a GPU.
     pub fn set_gpu_policy(&self, policy: PolicyKind) {
         let Some(side) = &self.gpu else { return };

@@ -255,6 +255,7 @@ impl Catalog {
 
     /// Counters count from here.
     pub fn reset_cache_counters(&self) {
+        self.cache.forget_peaks();
         *self.baseline() = self.cache.snapshot();
     }
 

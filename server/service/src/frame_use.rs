@@ -6,7 +6,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use lumisphere::gpu::GpuCacheStats;
 use lumisphere::render::GpuFrameStats;
 use lumisphere::representations::{CachedPages, Fetched, PageSource, PageUse, TexelReader};
-use lumisphere::textures::{CacheStats, Counted, PageId, PageShape, ReadCost, Reader, StoreError};
+use lumisphere::textures::{CacheStats, Counted, PageId, PageShape, Reader, StoreError};
 
 /// A version's pages through the shared cache, for one frame, counted.
 pub struct FramePages<'a> {
@@ -43,35 +43,15 @@ impl<'a> FramePages<'a> {
 impl PageSource for FramePages<'_> {
     fn page(&self, page: PageId) -> Result<Fetched, StoreError> {
         let (page, cost) = self.pages.cache.page_with_cost(&self.pages.version, page)?;
-        count_page(&mut self.lock(), cost.as_ref());
+        // As the cache counts a page that was there.
+        let hit = CacheStats { look_ups: 1, hits: 1, page_visits: 1, ..CacheStats::default() };
+        self.lock().add_events(cost.as_ref().unwrap_or(&hit));
         Ok(Fetched { page, was_resident: cost.is_none(), bytes_read: cost.unwrap_or_default().bytes_read })
     }
 
     fn reader(&self) -> Box<dyn TexelReader + '_> {
         Box::new(FrameReader { pages: self, reader: self.pages.cache.reader(&self.pages.version) })
     }
-}
-
-/// A whole page, as the cache counts it.
-fn count_page(asked: &mut CacheStats, cost: Option<&ReadCost>) {
-    asked.look_ups += 1;
-    asked.page_visits += 1;
-    let Some(cost) = cost else {
-        asked.hits += 1;
-        return;
-    };
-    asked.misses += 1;
-    asked.visit_misses += 1;
-    // A read has a cost.
-    asked.coalesced_waits += u64::from(*cost == ReadCost::default());
-    asked.blocks_read += cost.blocks_read;
-    asked.bytes_read += cost.bytes_read;
-    asked.rows_decoded += cost.rows_decoded;
-    asked.bytes_decoded += cost.bytes_decoded;
-    asked.rows_redundant += cost.rows_redundant;
-    asked.bytes_redundant += cost.bytes_redundant;
-    asked.read_nanos += cost.read_nanos;
-    asked.decode_nanos += cost.decode_nanos;
 }
 
 /// A thread's reader; what it asked for counts when it is dropped.
@@ -97,15 +77,6 @@ impl TexelReader for FrameReader<'_> {
 
 impl Drop for FrameReader<'_> {
     fn drop(&mut self) {
-        let done = self.reader.counted();
-        let mut asked = self.pages.lock();
-        asked.look_ups += done.look_ups;
-        asked.hits += done.hits;
-        asked.misses += done.misses;
-        asked.texel_fetches += done.texel_fetches;
-        asked.texel_misses += done.texel_misses;
-        asked.page_visits += done.page_visits;
-        asked.visit_misses += done.visit_misses;
-        asked.bytes_read += done.bytes_read;
+        self.pages.lock().add_events(&self.reader.counted());
     }
 }

@@ -65,7 +65,7 @@ const TIER_COUNTS: [(&str, &str); 11] = [
     ("cache_evictions", "Dropped to keep the budget"),
     ("cache_bytes_in", "Bytes brought into the tier"),
     ("cache_bytes", "Bytes held"),
-    ("cache_peak_bytes", "Most bytes ever held"),
+    ("cache_peak_bytes", "Most bytes held at once"),
     ("cache_budget_bytes", "Bytes that may be held"),
     ("cache_prefetched", "Pages brought ahead of need"),
     ("cache_prefetch_used", "Of those, wanted before they left; gpu only"),
@@ -73,7 +73,7 @@ const TIER_COUNTS: [(&str, &str); 11] = [
 ];
 
 /// Instruments of a dataset version; events since start or the last reset.
-const DATASET_COUNTS: [(&str, &str); 19] = [
+const DATASET_COUNTS: [(&str, &str); 20] = [
     ("texture_look_ups", "Requests for whole pages or for texels"),
     ("texture_hits", "Of those, found in memory"),
     ("texture_misses", "Of those, in which something was missing"),
@@ -92,6 +92,7 @@ const DATASET_COUNTS: [(&str, &str); 19] = [
     ("texture_decode_micros", "Checking and unpacking, microseconds summed over readers"),
     ("texture_wait_micros", "Waiting for another's read, microseconds summed over readers"),
     ("texture_bytes", "Bytes held in memory"),
+    ("texture_peak_bytes", "Most bytes held in memory at once"),
     ("texture_evictions", "Pages and blocks dropped from memory"),
 ];
 

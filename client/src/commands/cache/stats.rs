@@ -65,6 +65,7 @@ fn dataset(d: &wire::DatasetCacheStats) -> Value {
         "version": d.version,
         "strategy": strategy_name(d.strategy()),
         "used_bytes": d.used_bytes,
+        "peak_bytes": d.peak_bytes,
         "entries": d.entries,
         "evictions": d.evictions,
         "texels": texels(&d.texels.unwrap_or_default()),
@@ -97,13 +98,14 @@ pub fn text(now: &wire::CacheStats) -> String {
         ]
     }));
     let mut datasets =
-        vec![row(&["dataset", "strategy", "used", "texel fetches", "missed", "page visits", "missed", "read", "decoded", "again"])];
+        vec![row(&["dataset", "strategy", "used", "peak", "texel fetches", "missed", "page visits", "missed", "read", "decoded", "again"])];
     datasets.extend(now.datasets.iter().map(|d| {
         let t = d.texels.unwrap_or_default();
         vec![
             format!("{}@{}", d.dataset, d.version),
             strategy_name(d.strategy()).into(),
             bytes_text(d.used_bytes),
+            bytes_text(d.peak_bytes),
             t.texel_fetches.to_string(),
             percent(t.texel_misses, t.texel_fetches),
             t.page_visits.to_string(),
@@ -115,7 +117,7 @@ pub fn text(now: &wire::CacheStats) -> String {
     }));
     let mut text = table(&tiers, &[2, 3, 4, 5, 6, 7, 8, 9, 10, 11]);
     if datasets.len() > 1 {
-        text += &format!("\n\n{}", table(&datasets, &[2, 3, 4, 5, 6, 7, 8, 9]));
+        text += &format!("\n\n{}", table(&datasets, &[2, 3, 4, 5, 6, 7, 8, 9, 10]));
     }
     text
 }

@@ -28,7 +28,7 @@ pub struct GpuCacheStats {
     pub resident_bytes: u64,
     /// Everything held on the device now: geometry, slots whether used or not, coarse level, upload ring, targets of a frame.
     pub device_bytes: u64,
-    /// Most of that at the end of any frame.
+    /// Most of that at the end of any frame, since the peak was last forgotten.
     pub peak_device_bytes: u64,
     /// What `device_bytes` may reach.
     pub budget_bytes: u64,

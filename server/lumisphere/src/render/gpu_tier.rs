@@ -126,6 +126,10 @@ impl GpuTier {
         if self.held() > budget_bytes {
             self.give_up_oldest();
         }
+    }
+
+    /// The peak begins anew with what is held now.
+    pub fn forget_peak(&mut self) {
         self.peak_bytes = self.held();
     }
 

@@ -46,7 +46,7 @@ use super::page::{Page, PageId};
 use super::policy::PolicyKind;
 use super::read_strategy::ReadStrategy;
 use super::trace::{Recorder, Trace, TraceEvent};
-use super::version::{DatasetVersion, ReadCost};
+use super::version::DatasetVersion;
 
 /// What a cache begins with; all of it can be changed while it serves.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -100,10 +100,11 @@ impl Strategies {
     }
 }
 
-/// Rows from the cache, and what they cost: None where no one had to read.
+/// Rows from the cache.
 struct Obtained {
     chunk: Arc<Chunk>,
-    cost: Option<ReadCost>,
+    /// No one had to read.
+    was_resident: bool,
 }
 
 impl Cache {
@@ -125,37 +126,39 @@ impl Cache {
         self.page_with_cost(version, page).map(|(page, _)| page)
     }
 
-    /// The same, and what it cost: None when the page was in memory, nothing read when another caller's read answered.
-    pub fn page_with_cost(&self, version: &Arc<DatasetVersion>, page: PageId) -> Result<(Arc<Page>, Option<ReadCost>), StoreError> {
+    /// The same, and what the cache counted for it: None when the page was in memory.
+    pub fn page_with_cost(&self, version: &Arc<DatasetVersion>, page: PageId) -> Result<(Arc<Page>, Option<CacheStats>), StoreError> {
         let table = self.table(version);
         let Some(slots) = table.page(page) else {
             // The version says it best.
-            return version.read_page_with_cost(page).map(|(page, cost)| (Arc::new(page), Some(cost)));
+            return version.read_page(page).map(|page| (Arc::new(page), Some(CacheStats::default())));
         };
         self.record(version, TraceEvent::Page { version: 0, page });
         if let Some(chunk) = slots.whole.get().filter(|chunk| chunk.is_whole()) {
             self.count_page_hit(table, &chunk);
             return Ok((chunk.page.clone(), None));
         }
-        let mut is_miss = false;
+        let count_miss = |c: &mut CacheStats| {
+            c.look_ups += 1;
+            c.misses += 1;
+            c.page_visits += 1;
+            c.visit_misses += 1;
+        };
         let mut on_miss = || {
-            is_miss = true;
             // A page that is there in part is used all the same.
             let partial = slots.whole.get().map(|chunk| chunk.ticket);
-            self.stripes.count_uses(table.slot, partial.as_slice(), |c| {
-                c.look_ups += 1;
-                c.misses += 1;
-                c.page_visits += 1;
-                c.visit_misses += 1;
-            });
+            self.stripes.count_uses(table.slot, partial.as_slice(), count_miss);
         };
         let miss = Miss { version, slots, part: Part::Whole, want: Want::WholePage, strategy: table.strategy() };
-        let obtained = self.obtain(&miss, &mut on_miss)?;
-        if !is_miss {
+        let mut cost = CacheStats::default();
+        let Obtained { chunk, was_resident } = self.obtain(&miss, &mut on_miss, &mut cost)?;
+        if was_resident {
             // It came between the two looks.
-            self.count_page_hit(table, &obtained.chunk);
+            self.count_page_hit(table, &chunk);
+            return Ok((chunk.page.clone(), None));
         }
-        Ok((obtained.chunk.page.clone(), obtained.cost))
+        count_miss(&mut cost);
+        Ok((chunk.page.clone(), Some(cost)))
     }
 
     fn count_page_hit(&self, table: &VersionTable, chunk: &Chunk) {
@@ -185,13 +188,12 @@ impl Cache {
     pub fn prefetch(&self, version: &Arc<DatasetVersion>, page: PageId) -> Result<(Arc<Page>, bool), StoreError> {
         let table = self.table(version);
         let Some(slots) = table.page(page) else { return version.read_page(page).map(|page| (Arc::new(page), true)) };
-        let mut is_miss = false;
         let miss = Miss { version, slots, part: Part::Whole, want: Want::WholePage, strategy: table.strategy() };
-        let obtained = self.obtain(&miss, &mut || is_miss = true)?;
-        if is_miss {
+        let Obtained { chunk, was_resident } = self.obtain(&miss, &mut || {}, &mut CacheStats::default())?;
+        if !was_resident {
             self.stripes.count(table.slot, |c| c.prefetches += 1);
         }
-        Ok((obtained.chunk.page.clone(), is_miss))
+        Ok((chunk.page.clone(), !was_resident))
     }
 
     /// A rendered frame begins: some policies work by frames, and recordings mark them.
@@ -205,8 +207,9 @@ impl Cache {
         }
     }
 
-    /// The part that was asked for, read if need be. `on_miss` is called once, before anything takes time.
-    fn obtain(&self, miss: &Miss<'_>, on_miss: &mut dyn FnMut()) -> Result<Obtained, StoreError> {
+    /// The part that was asked for, read if need be. `on_miss` is called once, before anything takes time. What is counted here is added to
+    /// `cost`, too.
+    fn obtain(&self, miss: &Miss<'_>, on_miss: &mut dyn FnMut(), cost: &mut CacheStats) -> Result<Obtained, StoreError> {
         let slot = miss
             .slots
             .slot(miss.part)
@@ -219,47 +222,57 @@ impl Cache {
                 on_miss();
             }
             match found {
-                Found::Value(chunk) if !is_miss => return Ok(Obtained { chunk, cost: None }),
-                Found::Value(chunk) => return self.answered_by_another(miss, Ok(chunk)),
+                Found::Value(chunk) if !is_miss => return Ok(Obtained { chunk, was_resident: true }),
+                Found::Value(chunk) => return self.answered_by_another(miss, Ok(chunk), cost),
                 Found::Theirs(flight) => {
                     let started = Instant::now();
                     let outcome = flight.wait();
                     let nanos = started.elapsed().as_nanos() as u64;
-                    self.stripes.count(miss.slots.version, |c| c.wait_nanos += nanos);
+                    self.count(miss, cost, |c| c.wait_nanos += nanos);
                     match outcome {
                         Outcome::Landed(Ok(chunk)) if !miss.want.is_met_by(&chunk) => {}
-                        Outcome::Landed(result) => return self.answered_by_another(miss, result),
+                        Outcome::Landed(result) => return self.answered_by_another(miss, result, cost),
                         Outcome::Lost => {}
                     }
                 }
                 Found::Mine(flight, resident) => {
                     let reading = Reading { slot, flight, outcome: Outcome::Lost };
-                    return reading.finish(self.read_and_keep(miss, resident.as_deref()));
+                    return reading.finish(self.read_and_keep(miss, resident.as_deref(), cost));
                 }
             }
         }
     }
 
-    fn answered_by_another(&self, miss: &Miss<'_>, result: Result<Arc<Chunk>, StoreError>) -> Result<Obtained, StoreError> {
-        self.stripes.count(miss.slots.version, |c| c.coalesced_waits += 1);
-        result.map(|chunk| Obtained { chunk, cost: Some(ReadCost::default()) })
+    fn answered_by_another(
+        &self,
+        miss: &Miss<'_>,
+        result: Result<Arc<Chunk>, StoreError>,
+        cost: &mut CacheStats,
+    ) -> Result<Obtained, StoreError> {
+        self.count(miss, cost, |c| c.coalesced_waits += 1);
+        result.map(|chunk| Obtained { chunk, was_resident: false })
     }
 
-    fn read_and_keep(&self, miss: &Miss<'_>, resident: Option<&Chunk>) -> Result<Obtained, StoreError> {
-        let version = miss.slots.version;
-        let (arriving, cost) = match miss.read(&self.compressed, resident) {
+    fn read_and_keep(&self, miss: &Miss<'_>, resident: Option<&Chunk>, cost: &mut CacheStats) -> Result<Obtained, StoreError> {
+        let (arriving, read) = match miss.read(&self.compressed, resident) {
             Ok(read) => read,
             Err(error) => {
-                self.stripes.count(version, |c| c.failed_reads += 1);
+                self.count(miss, cost, |c| c.failed_reads += 1);
                 return Err(error);
             }
         };
         let kept = self.told_residency().keep(miss.slots, miss.part, &arriving);
-        self.stripes.count(version, |c| {
-            c.count(&cost);
+        self.count(miss, cost, |c| {
+            c.count(&read);
             c.uncached += u64::from(kept.is_none());
         });
-        Ok(Obtained { chunk: kept.unwrap_or_else(|| arriving.unkept()), cost: Some(cost) })
+        Ok(Obtained { chunk: kept.unwrap_or_else(|| arriving.unkept()), was_resident: false })
+    }
+
+    /// Among all that is counted, and for the one who asked.
+    fn count(&self, miss: &Miss<'_>, cost: &mut CacheStats, count: impl Fn(&mut CacheStats)) {
+        self.stripes.count(miss.slots.version, &count);
+        count(cost);
     }
 
     /// The counters and sizes of decoded pages of all versions. Each thread's counters are of one moment, so
@@ -269,7 +282,7 @@ impl Cache {
         let residency = self.residency();
         let mut total = CacheStats::default();
         sums.iter().for_each(|sum| total.add_events(sum));
-        with_sizes(total, &residency, residency.total(), residency.peak_bytes)
+        with_sizes(total, &residency, residency.total())
     }
 
     /// Every counter of every tier and version.
@@ -281,12 +294,12 @@ impl Cache {
             dataset: table.dataset.clone(),
             version: table.version,
             strategy: table.strategy(),
-            decoded: with_sizes(sums.get(table.slot as usize).copied().unwrap_or_default(), &residency, residency.share(table.slot), 0),
+            decoded: with_sizes(sums.get(table.slot as usize).copied().unwrap_or_default(), &residency, residency.share(table.slot)),
         });
         let versions = versions.collect();
         let mut total = CacheStats::default();
         sums.iter().for_each(|sum| total.add_events(sum));
-        let decoded = with_sizes(total, &residency, residency.total(), residency.peak_bytes);
+        let decoded = with_sizes(total, &residency, residency.total());
         CacheSnapshot {
             decoded,
             decoded_policy: residency.kind(),
@@ -301,6 +314,12 @@ impl Cache {
     pub fn clear(&self) {
         self.told_residency().clear();
         self.compressed.clear();
+    }
+
+    /// Peaks begin anew with what is held now.
+    pub fn forget_peaks(&self) {
+        self.residency().forget_peaks();
+        self.compressed.forget_peak();
     }
 
     /// Changes the budget of decoded pages; those that no longer fit leave at once.
@@ -405,12 +424,12 @@ impl Cache {
     }
 }
 
-fn with_sizes(events: CacheStats, residency: &Residency, share: residency::Share, peak_bytes: u64) -> CacheStats {
+fn with_sizes(events: CacheStats, residency: &Residency, share: residency::Share) -> CacheStats {
     CacheStats {
         evictions: share.evictions,
         resident_pages: share.pages,
         resident_bytes: share.bytes,
-        peak_bytes,
+        peak_bytes: share.peak_bytes,
         budget_bytes: residency.budget,
         ..events
     }

@@ -63,10 +63,17 @@ impl Cache for Api {
             Ok(())
         })
         .await?;
+        let resets = request.into_inner().reset_counters;
         if app.adapter.is_some() {
-            app.frames.with_gpu_tier(empty_gpu_tier).await?;
+            let empty = move |renderer: &Renderer| {
+                empty_gpu_tier(renderer);
+                if resets {
+                    renderer.forget_gpu_peak();
+                }
+            };
+            app.frames.with_gpu_tier(empty).await?;
         }
-        if request.into_inner().reset_counters {
+        if resets {
             app.reset_cache_counters();
         }
         Ok(Response::new(app.cache_stats()))

@@ -173,6 +173,7 @@ pub fn cache_stats(
             strategy: strategy_message(v.strategy).into(),
             texels: Some(texel_stats(&v.decoded, &before)),
             used_bytes: v.decoded.resident_bytes,
+            peak_bytes: v.decoded.peak_bytes,
             entries: v.decoded.resident_pages,
             evictions: v.decoded.evictions.saturating_sub(before.evictions),
         }
@@ -201,7 +202,7 @@ pub fn tier_counts(t: &proto::CacheTierStats) -> [u64; 11] {
 }
 
 /// In the order of the dataset's instruments.
-pub fn dataset_counts(d: &proto::DatasetCacheStats) -> [u64; 19] {
+pub fn dataset_counts(d: &proto::DatasetCacheStats) -> [u64; 20] {
     let t = d.texels.unwrap_or_default();
     [
         t.look_ups,
@@ -222,6 +223,7 @@ pub fn dataset_counts(d: &proto::DatasetCacheStats) -> [u64; 19] {
         t.decode_micros,
         t.wait_micros,
         d.used_bytes,
+        d.peak_bytes,
         d.evictions,
     ]
 }

@@ -65,6 +65,7 @@ pub fn cache_use(asked: &CacheStats, adapter: Option<&AdapterUse>) -> proto::Fra
         bytes_redundant: asked.bytes_redundant,
         read_micros: asked.read_nanos / 1000,
         decode_micros: asked.decode_nanos / 1000,
+        wait_micros: asked.wait_nanos / 1000,
         adapter: adapter.map(adapter_use),
     }
 }

@@ -111,6 +111,11 @@ impl CompressedTier {
         self.state().evict_down_to(0);
     }
 
+    pub fn forget_peak(&self) {
+        let stats = &mut self.state().stats;
+        stats.peak_bytes = stats.resident_bytes;
+    }
+
     pub fn begin_frame(&self) {
         self.state().policy.begin_frame();
     }

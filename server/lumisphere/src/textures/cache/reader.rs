@@ -67,7 +67,7 @@ pub struct Reader<'a, T: Tally = Counted> {
     /// Look-ups of four fetches that one remembered page answered, not yet in `counters`.
     footprints: u64,
     counters: CacheStats,
-    /// What was handed on before, and the bytes that its misses read.
+    /// What was handed on before, and what the cache counted for its misses.
     handed_on: CacheStats,
     /// Runs of rows; None when nothing records.
     runs: Option<Vec<(PageId, u32, u32)>>,
@@ -116,7 +116,7 @@ impl<'a, T: Tally> Reader<'a, T> {
         }
     }
 
-    /// What this reader asked for so far, and the bytes that its misses read.
+    /// What this reader asked for so far, and what its misses cost: the part of the cache's counters that is its own.
     pub fn counted(&self) -> CacheStats {
         let mut all = self.handed_on;
         all.add_events(&self.counters);
@@ -286,17 +286,16 @@ impl<'a, T: Tally> Reader<'a, T> {
         let strategy = self.table.strategy();
         let part = if self.is_by_block { Part::Block(y / BLOCK_ROWS) } else { Part::Whole };
         let miss = Miss { version: self.version, slots, part, want: Want::Row(y), strategy };
-        let mut found = self.cache.obtain(&miss, &mut || {});
+        let mut found = self.cache.obtain(&miss, &mut || {}, &mut self.handed_on);
         if matches!(found, Err(StoreError::DamagedPage { .. })) && part == Part::Whole {
             // The damage may lie in rows that only the strategy wanted.
             let alone = Miss { part: Part::Block(y / BLOCK_ROWS), strategy: ReadStrategy::Block, ..miss };
-            found = self.cache.obtain(&alone, &mut || {});
+            found = self.cache.obtain(&alone, &mut || {}, &mut self.handed_on);
         }
-        let Obtained { chunk, cost } = found?;
-        self.handed_on.bytes_read += cost.map_or(0, |cost| cost.bytes_read);
-        if cost.is_none() {
+        let Obtained { chunk, was_resident } = found?;
+        if was_resident {
             // It came between the look and the counting: another's read has answered.
-            self.cache.stripes.count(slots.version, |c| c.coalesced_waits += 1);
+            self.cache.count(&miss, &mut self.handed_on, |c| c.coalesced_waits += 1);
         }
         self.last_use = chunk.ticket;
         // What was evicted meanwhile is not held any longer than that.

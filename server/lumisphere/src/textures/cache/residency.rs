@@ -35,6 +35,8 @@ pub(super) struct Share {
     pub evictions: u64,
     pub pages: u64,
     pub bytes: u64,
+    /// Most bytes at once.
+    pub peak_bytes: u64,
 }
 
 /// Frames are dense numbers, reused; a serial number tells their occupants apart.
@@ -46,7 +48,7 @@ pub(super) struct Residency {
     free: Vec<u32>,
     pub budget: u64,
     pub resident_bytes: u64,
-    pub peak_bytes: u64,
+    peak_bytes: u64,
     /// By version slot.
     shares: Vec<Share>,
 }
@@ -71,6 +73,8 @@ impl Residency {
             evictions: sum.evictions + s.evictions,
             pages: sum.pages + s.pages,
             bytes: sum.bytes + s.bytes,
+            // Versions have theirs at different times.
+            peak_bytes: self.peak_bytes,
         })
     }
 
@@ -126,6 +130,7 @@ impl Residency {
         let share = self.share_mut(slots.version);
         share.pages += 1;
         share.bytes += arriving.bytes;
+        share.peak_bytes = share.peak_bytes.max(share.bytes);
         slot.install(chunk.clone());
         self.supersede_blocks(slots, &chunk);
         debug_assert!(self.resident_bytes <= self.budget, "{} of {} bytes", self.resident_bytes, self.budget);
@@ -189,6 +194,11 @@ impl Residency {
                 self.release(frame);
             }
         }
+    }
+
+    pub fn forget_peaks(&mut self) {
+        self.peak_bytes = self.resident_bytes;
+        self.shares.iter_mut().for_each(|share| share.peak_bytes = share.bytes);
     }
 
     pub fn begin_frame(&mut self) {

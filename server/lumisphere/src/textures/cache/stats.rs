@@ -54,7 +54,7 @@ pub struct CacheStats {
     pub resident_pages: u64,
     /// Bytes held now; never above the budget.
     pub resident_bytes: u64,
-    /// Most bytes ever held at once.
+    /// Most bytes held at once, since the peaks were last forgotten.
     pub peak_bytes: u64,
     /// Bytes that may be held.
     pub budget_bytes: u64,
@@ -74,7 +74,7 @@ impl CacheStats {
     }
 
     /// Adds the events of another, sizes aside.
-    pub(super) fn add_events(&mut self, other: &Self) {
+    pub fn add_events(&mut self, other: &Self) {
         self.look_ups += other.look_ups;
         self.hits += other.hits;
         self.misses += other.misses;
@@ -114,7 +114,7 @@ pub struct CompressedStats {
     pub resident_blocks: u64,
     /// Bytes held now; never above the budget.
     pub resident_bytes: u64,
-    /// Most bytes ever held at once.
+    /// Most bytes held at once, since the peaks were last forgotten.
     pub peak_bytes: u64,
     /// Bytes that may be held; 0: the tier is off and counts nothing.
     pub budget_bytes: u64,
@@ -129,7 +129,7 @@ pub struct VersionStats {
     pub version: u64,
     /// How its misses are read.
     pub strategy: ReadStrategy,
-    /// Its events and what it has resident; the budget is the whole cache's, the peak is not kept.
+    /// Its events and what it has, and had, resident; the budget is the whole cache's.
     pub decoded: CacheStats,
 }
 

@@ -353,6 +353,7 @@ fn budget_and_policy_change_between_frames_and_the_picture_does_not() {
         [(48 << 20, PolicyKind::S3Fifo), (46 << 20, PolicyKind::Arc), (45 << 20, PolicyKind::FrameLru), (BUDGET, PolicyKind::Clock)]
     {
         renderer.set_gpu_budget(budget);
+        renderer.forget_gpu_peak();
         renderer.set_gpu_policy(policy);
         assert_eq!(renderer.gpu_policy(), Some(policy));
         let frame = draw();
@@ -367,4 +368,8 @@ fn budget_and_policy_change_between_frames_and_the_picture_does_not() {
     renderer.set_gpu_budget(1 << 20);
     assert!(renderer.gpu_bytes() <= 1 << 20);
     assert_eq!(draw().stats.backend, Backend::Cpu);
+    // What was held once stays told.
+    assert_eq!(renderer.gpu_stats().unwrap().peak_device_bytes, stats.peak_device_bytes);
+    renderer.forget_gpu_peak();
+    assert_eq!(renderer.gpu_stats().unwrap().peak_device_bytes, renderer.gpu_bytes());
 }

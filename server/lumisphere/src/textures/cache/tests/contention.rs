@@ -51,6 +51,44 @@ fn sixty_four_readers_of_one_cold_page_cause_one_read() {
     }
 }
 
+/// Texels in even threads, whole pages in odd ones; all begin with one cold page, and one in four finds room.
+#[test]
+fn what_readers_and_pages_cost_adds_up_to_what_the_cache_counts() {
+    let published = sixteen();
+    let cache = Arc::new(with_strategy(4 * page_bytes(), ReadStrategy::FullImage));
+    let waiting = cache.clone();
+    published.disk.on_read(move || {
+        await_look_ups(&waiting, 8);
+        Ok(())
+    });
+    let told = Mutex::new(CacheStats::default());
+    std::thread::scope(|scope| {
+        for thread in 0..8u32 {
+            let (cache, published, told) = (&cache, &published, &told);
+            scope.spawn(move || {
+                let mut reader = cache.reader(&published.version);
+                for step in 0..300 {
+                    let page = PageId(step * (thread + 1) % 16);
+                    if thread.is_multiple_of(2) {
+                        reader.bilinear(page, (1, step % 39), (1.0, 0.0)).unwrap();
+                    } else {
+                        let cost = cache.page_with_cost(&published.version, page).unwrap().1;
+                        let hit = CacheStats { look_ups: 1, hits: 1, page_visits: 1, ..CacheStats::default() };
+                        told.lock().unwrap().add_events(&cost.unwrap_or(hit));
+                    }
+                }
+                told.lock().unwrap().add_events(&reader.counted());
+            });
+        }
+    });
+    published.disk.let_go();
+    let (told, stats) = (told.into_inner().unwrap(), cache.stats());
+    let mut counted = CacheStats::default();
+    counted.add_events(&stats);
+    assert_eq!(told, CacheStats { evictions: 0, ..counted });
+    assert!(told.coalesced_waits >= 7 && told.wait_nanos > 0 && told.decode_nanos > 0 && told.rows_redundant > 0, "{told:?}");
+}
+
 #[test]
 fn a_slow_read_delays_neither_hits_nor_other_reads() {
     let published = sixteen();

@@ -144,6 +144,8 @@ fn a_page_brought_ahead_is_a_hit_and_no_look_up() {
 
 #[test]
 fn versions_do_not_share_pages_and_are_counted_apart() {
+    // Versions are told in the order in which they were published.
+    growing();
     let other = published(Codec::DEFAULT, &[shape(1, 1), shape(2, 1)]);
     let cache = lru(1 << 20);
     ask(&cache, 1);
@@ -154,4 +156,30 @@ fn versions_do_not_share_pages_and_are_counted_apart() {
     let misses: Vec<_> = snapshot.versions.iter().map(|v| (v.decoded.look_ups, v.decoded.misses, v.decoded.resident_pages)).collect();
     assert_eq!(misses, [(2, 1, 1), (1, 1, 1)]);
     assert_eq!((snapshot.decoded.look_ups, snapshot.decoded.misses, snapshot.decoded.resident_pages), (3, 2, 2));
+}
+
+#[test]
+fn peaks_are_kept_apart_until_they_are_forgotten() {
+    // Versions are told in the order in which they were published.
+    growing();
+    let other = published(Codec::DEFAULT, &[shape(1, 1), shape(2, 1)]);
+    // Room for the largest page, or for two small ones.
+    let cache = lru(bytes(23));
+    let peaks = || {
+        let snapshot = cache.snapshot();
+        assert_eq!(snapshot.decoded, cache.stats());
+        (snapshot.versions.iter().map(|v| v.decoded.peak_bytes).collect::<Vec<_>>(), snapshot.decoded.peak_bytes)
+    };
+    ask(&cache, 23);
+    cache.page(&other.version, PageId(0)).unwrap();
+    cache.page(&other.version, PageId(1)).unwrap();
+    ask(&cache, 0);
+    // The largest page has left for the others, the first of these for the last.
+    assert_eq!(peaks(), (vec![bytes(23), bytes(0) + bytes(1)], bytes(23)));
+    let held = (vec![bytes(0), bytes(1)], bytes(0) + bytes(1));
+    cache.forget_peaks();
+    assert_eq!(peaks(), held);
+    cache.clear();
+    cache.set_budget(0);
+    assert_eq!(peaks(), held);
 }
