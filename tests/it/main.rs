@@ -20,6 +20,7 @@ mod rules;
 mod stopping;
 mod sweep;
 mod system;
+mod thin;
 mod tiny;
 mod uploads;
 mod wire;

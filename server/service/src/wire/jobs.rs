@@ -541,6 +541,40 @@ mod tests {
     }
 
     #[test]
+    fn thinning_out_of_range_is_refused_by_field() {
+        let good = || proto::ThinSpec {
+            dataset: "tea".into(),
+            into: "cup".into(),
+            max_error: 2.0,
+            settings: Some(proto::RenderSettings {
+                representation: Some(proto::render_settings::Representation::OffsetSurfaceLightField(
+                    proto::OffsetSurfaceLightFieldSettings {
+                        component: proto::offset_surface_light_field_settings::Component::Mirror.into(),
+                        blend: proto::offset_surface_light_field_settings::Blend::Corrected.into(),
+                        ..Default::default()
+                    },
+                )),
+                ..Default::default()
+            }),
+            ..Default::default()
+        };
+        let spec = thin(good(), "t").unwrap();
+        assert_eq!((spec.windows, spec.truth_samples_per_pixel, spec.metric), (4096, 256, ThinMetric::DeltaE));
+        let refused = |change: fn(&mut proto::ThinSpec)| {
+            let mut message = good();
+            change(&mut message);
+            thin(message, "t").unwrap_err().to_string()
+        };
+        assert!(refused(|t| t.max_error = 0.0).starts_with("t.max_error: 0"));
+        assert!(refused(|t| t.max_error = f64::NAN).starts_with("t.max_error: NaN"));
+        assert!(refused(|t| t.into.clear()).starts_with("t.into"));
+        assert!(refused(|t| t.settings = None).starts_with("t.settings"));
+        assert!(refused(|t| t.metric = 7).starts_with("t.metric: 7"));
+        assert!(refused(|t| t.windows = 5).starts_with("t.windows: 5"));
+        assert!(refused(|t| t.codec = 9).starts_with("t.codec: 9"));
+    }
+
+    #[test]
     fn views_are_bounded_in_number_and_size() {
         let list = |n| proto::CameraList { cameras: vec![proto::Camera::default(); n] };
         assert!(cameras(list(0), &LIMITS, "v").unwrap_err().to_string().contains("1 to 3"));

@@ -229,7 +229,7 @@ impl<'a> Thinning<'a> {
         let mut queue = BinaryHeap::from(all);
         let mut gone = Vec::new();
         let mut sum: f64 = errors.iter().sum();
-        while sum <= most * errors.len() as f64 && queue.len() > FEWEST_POINTS {
+        while sum <= most * errors.len() as f64 && count - gone.len() > FEWEST_POINTS {
             progress.report("thinning sample points", gone.len() as u64, count as u64);
             if progress.is_cancelled() {
                 return Err(Cancelled.into());
@@ -244,7 +244,7 @@ impl<'a> Thinning<'a> {
             for (point, (loss, affected)) in losses {
                 let is_cheapest = left == 0 || loss <= next;
                 let is_apart = affected.iter().all(|(number, _)| !changed.contains(number));
-                if left < LEAVE && is_cheapest && is_apart && queue.len() > FEWEST_POINTS {
+                if left < LEAVE && is_cheapest && is_apart && count - gone.len() > FEWEST_POINTS {
                     for (number, error) in affected {
                         sum += error - errors[number as usize];
                         errors[number as usize] = error;
