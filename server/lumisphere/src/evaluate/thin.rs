@@ -141,7 +141,7 @@ impl ThinMetric {
     }
 }
 
-/// Thins `field`, captured of `scene`, as far as the plan's bound allows: the fewest texels of all face sizes. The pages are not copied
+/// Thins `field`, captured of `scene`, about as far as the plan's bound allows: of what was tried, the fewest texels. The pages are not copied
 /// yet (`copy_pages`).
 pub fn thin(
     scene: &Scene,
@@ -158,21 +158,21 @@ pub fn thin(
     let visible = |texel: SamplePoint, sample: Vec3| !tracer.occluded(texel.position + lift * texel.normal, sample);
     let metric = plan.metric;
     let error = |shown: Vec3, reference: Vec3| metric.of_pixel(shown, reference);
-    let first = Thinning::new(field, plan.settings, source, &first_views, (&error, &visible));
-    let thinning = Thinning::new(field, plan.settings, source, &views, (&error, &visible));
+    let first = Thinning::new(field, plan.settings, source, &first_views, (&error, &visible), progress)?;
+    let thinning = Thinning::new(field, plan.settings, source, &views, (&error, &visible), progress)?;
     if first.pixel_count() == 0 || thinning.pixel_count() == 0 {
         return Err(ThinError::Unseen);
     }
     let (bound, before) = (metric.to_mean(plan.max_error), thinning.error_before()?);
-    let unmet = || ThinError::Unmet { error: metric.of_mean(before), max_error: plan.max_error };
     // Phrased so that NaN meets nothing.
     if !(before <= bound) {
-        return Err(unmet());
+        return Err(ThinError::Unmet { error: metric.of_mean(before), max_error: plan.max_error });
     }
-    let order = first.order(bound, progress)?;
+    let order = first.order(bound)?;
     let count = field.sample_points.len();
     let texels = |gone: usize, levels: u32| (count - gone + 1) as u64 * (u64::from(field.parameters.face_size_texels) >> levels).pow(2);
-    let mut best = (0, 0);
+    // How many sample points and levels could go, by what is nearest to each pixel.
+    let mut choices = vec![(0, 0)];
     for levels in 0..=thinning.levels_to_spare() {
         progress.report("choosing the face size", levels.into(), (thinning.levels_to_spare() + 1).into());
         let meets = |gone: usize| Ok::<_, ThinError>(thinning.error_without(&order[..gone].iter().copied().collect(), levels)? <= bound);
@@ -182,41 +182,43 @@ pub fn thin(
         // The most that can go: about monotone.
         let (mut low, mut high) = (0, order.len() + 1);
         while high - low > 1 {
-            if progress.is_cancelled() {
-                return Err(Cancelled.into());
-            }
             let middle = (low + high) / 2;
             if meets(middle)? { low = middle } else { high = middle }
         }
-        if texels(low, levels) < texels(best.0, best.1) {
-            best = (low, levels);
+        choices.push((low, levels));
+    }
+    choices.sort_by_key(|(gone, levels)| texels(*gone, *levels));
+    for (most, levels) in choices {
+        let mut gone = most;
+        for step in 0..MOST_STEPS_BACK {
+            progress.report("building sample maps", step.into(), MOST_STEPS_BACK.into());
+            if progress.is_cancelled() {
+                return Err(Cancelled.into());
+            }
+            let lost: HashSet<u16> = order[..gone].iter().copied().collect();
+            let kept = Kept { points: (0..count as u16).filter(|j| !lost.contains(j)).collect(), levels };
+            let thinned = thinning.thinned(&kept);
+            let after = thinning.error_of(&thinned, &kept)?;
+            // Where nothing goes the sample maps are about what they were.
+            if after <= bound || (gone, levels) == (0, 0) {
+                let report = ThinReport {
+                    pixels: thinning.pixel_count(),
+                    error_before: metric.of_mean(before),
+                    error: metric.of_mean(after),
+                    sample_points_before: count,
+                    sample_points: kept.points.len(),
+                    face_size_texels_before: field.parameters.face_size_texels,
+                    face_size_texels: thinned.parameters.face_size_texels,
+                };
+                return Ok((thinned, kept, report));
+            }
+            if gone == 0 {
+                break;
+            }
+            gone = if step + 2 == MOST_STEPS_BACK { 0 } else { (STEP_BACK * gone as f64) as usize };
         }
     }
-    let (mut gone, levels) = best;
-    for step in 0..MOST_STEPS_BACK {
-        progress.report("building sample maps", step.into(), MOST_STEPS_BACK.into());
-        let lost: HashSet<u16> = order[..gone].iter().copied().collect();
-        let kept = Kept { points: (0..count as u16).filter(|j| !lost.contains(j)).collect(), levels };
-        let thinned = thinning.thinned(&kept);
-        let after = thinning.error_of(&thinned, &kept)?;
-        if after <= bound {
-            let report = ThinReport {
-                pixels: thinning.pixel_count(),
-                error_before: metric.of_mean(before),
-                error: metric.of_mean(after),
-                sample_points_before: count,
-                sample_points: kept.points.len(),
-                face_size_texels_before: field.parameters.face_size_texels,
-                face_size_texels: thinned.parameters.face_size_texels,
-            };
-            return Ok((thinned, kept, report));
-        }
-        if gone == 0 {
-            break;
-        }
-        gone = (STEP_BACK * gone as f64) as usize;
-    }
-    Err(unmet())
+    unreachable!("the last choice, and its last step, leave nothing out");
 }
 
 /// The windows that show the object, and their truth.
@@ -237,7 +239,7 @@ fn validation_views(
     let count = places.len() as u64;
     for (number, place) in (set * count..).zip(&places) {
         progress.report("tracing validation windows", number, 2 * count);
-        let camera = window(place, distance, SampleSequence::new(plan.trace.seed, number, 0).pair());
+        let Some(camera) = window(place, distance, SampleSequence::new(plan.trace.seed, number, 0).pair()) else { continue };
         let seeded = TraceSettings { seed: plan.trace.seed.wrapping_add(number), ..plan.trace };
         let truth = truths.view(&camera, &[Truth::OneReflection], &seeded, &Silent(progress))?;
         let reference = truth.reference(&settings, Truth::OneReflection);
@@ -252,15 +254,15 @@ fn validation_views(
     Ok(views)
 }
 
-/// Looks at a place of the surface from a direction as likely as the place's projected area.
-fn window(place: &SamplePoint, distance: f32, u: Vec2) -> Camera {
+/// Looks at a place of the surface from a direction as likely as the place's projected area. None where numbers are too coarse for that.
+fn window(place: &SamplePoint, distance: f32, u: Vec2) -> Option<Camera> {
     let (s, t) = place.normal.any_orthonormal_pair();
     let local = cosine_hemisphere(u);
     let direction = local.x * s + local.y * t + local.z * place.normal;
     let up = if direction.y.abs() > 0.99 { Vec3::X } else { Vec3::Y };
-    let pose = Pose::look_at(place.position + distance * direction, place.position, up).expect("apart, and not along up");
+    let pose = Pose::look_at(place.position + distance * direction, place.position, up).ok()?;
     let focal = 0.5 * PICTURE_PX / (0.5 * FIELD_OF_VIEW_DEG.to_radians()).tan();
     let center_px = Vec2::splat(0.5 * WINDOW_PX as f32);
     let intrinsics = Intrinsics { width_px: WINDOW_PX, height_px: WINDOW_PX, focal_px: Vec2::splat(focal), center_px };
-    Camera::new(intrinsics, pose).expect("a positive focal length")
+    Camera::new(intrinsics, pose).ok()
 }

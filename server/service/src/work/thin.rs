@@ -18,14 +18,16 @@ use crate::wire::jobs::ThinSpec;
 const KIND: Kind = Kind::OffsetSurfaceLightField;
 /// What was thinned, and what that did to the error: a part of the version.
 const REPORT: &str = "thinning.json";
+/// Which cube maps are left: a part, too.
+const KEPT: &str = "kept.json";
 
 impl Work {
     pub(super) fn thin(&self, spec: &ThinSpec, attempt: &Attempt) -> Result<Outcome, ApiError> {
-        let version = self.open(&spec.dataset, spec.version)?;
-        let thinned = self.publish_once(&spec.into, KIND, attempt, |staging| self.fill_thinned(spec, &version, staging, attempt))?;
+        let fill = |staging: &Staging| self.fill_thinned(spec, &*self.open(&spec.dataset, spec.version)?, staging, attempt);
+        let thinned = self.publish_once(&spec.into, KIND, attempt, fill)?;
         let outcome = self.published(&spec.into, thinned)?;
         let mut summary: serde_json::Value = serde_json::from_str(&outcome.summary_json).map_err(ApiError::internal)?;
-        let report = self.open(&spec.into, thinned)?.pages.version.blob(REPORT)?;
+        let report = self.catalog.store().open_version(&spec.into, Some(thinned))?.blob(REPORT)?;
         summary["thinning"] = serde_json::from_slice(&report).map_err(ApiError::internal)?;
         Ok(Outcome { summary_json: summary.to_string(), ..outcome })
     }
@@ -57,6 +59,13 @@ impl Work {
         };
         let (thinned, kept, report) = thin(&scene, (field, &version.pages), &plan, attempt)?;
         let stored = &version.pages.version;
+        // A page's number means nothing without this: what another attempt staged is of use only for the same.
+        let plan_of_pages = serde_json::to_vec(&kept).map_err(ApiError::internal)?;
+        match staging.blob(KEPT)? {
+            None if staging.pages_present().is_empty() => drop(staging.put_blob(KEPT, &plan_of_pages)?),
+            Some(earlier) if earlier == plan_of_pages => {}
+            _ => return Err(ApiError::internal("an earlier attempt kept other sample points; submit the job anew")),
+        }
         copy_pages((field, stored), (&thinned, &kept), spec.codec, staging, attempt)?;
         for (name, bytes) in to_parts(&thinned).map_err(ApiError::internal)? {
             staging.put_blob(name, &bytes)?;

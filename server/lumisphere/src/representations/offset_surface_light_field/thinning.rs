@@ -11,14 +11,15 @@ use std::sync::Arc;
 
 use glam::Vec3;
 use rayon::prelude::*;
+use serde::Serialize;
 use thiserror::Error;
 
 use super::corrected::InverseDistances;
 use super::reference::{PagedCubes, PagesTouched};
 use super::sample_points::nearest_visible;
 use super::shade::{ReadCube, shade_from, shade_object, sight};
-use super::{NO_SAMPLE, OffsetSurfaceLightField, Parameters, SamplePoint, Settings, ThinnedFrom, build_sample_maps};
-use crate::capture::{halved_distances, inverse_distance};
+use super::{NO_SAMPLE, OffsetSurfaceLightField, Parameters, SampleMaps, SamplePoint, Settings, ThinnedFrom, build_sample_maps};
+use crate::capture::{Background, halved_distances, inverse_distance};
 use crate::directions::{FACES, Texel, bilinear_footprint};
 use crate::geometry::Camera;
 use crate::progress::{Cancelled, Progress};
@@ -26,6 +27,7 @@ use crate::raytrace::Stack;
 use crate::representations::g_buffer::{GBufferPixel, GBufferTracer, ProxyGeometry, Seen};
 use crate::representations::page_source::CountingSource;
 use crate::representations::{PageSource, RenderError};
+use crate::scenes::Environment;
 use crate::textures::{Codec, DatasetVersion, Page, PageId, PageShape, Staging, StoreError, encode_as};
 
 /// A pixel's nearest visible sample points that are known of: when all of them are gone it shows nothing.
@@ -36,6 +38,8 @@ const ROUND: usize = 32;
 const LEAVE: usize = 8;
 /// No faces coarser than so many texels.
 const LEAST_FACE_SIZE: u32 = 16;
+/// A distance of so much coarser a level is read from 64 texels.
+const MOST_LEVELS: u32 = 3;
 /// Fewer sample points blend nothing.
 const FEWEST_POINTS: usize = 4;
 
@@ -82,6 +86,7 @@ pub struct Thinning<'a> {
     touched: PagesTouched,
     error: PixelError<'a>,
     visible: Visible<'a>,
+    progress: &'a dyn Progress,
     pixels: Vec<Pixel>,
     /// Of every sample point, the pixels that may read it.
     readers: Vec<Vec<u32>>,
@@ -97,7 +102,7 @@ struct Pixel {
 }
 
 /// Which cube maps are left, and from which level on.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Kept {
     /// Indices of sample points, ascending.
     pub points: Vec<u16>,
@@ -113,7 +118,8 @@ impl<'a> Thinning<'a> {
         source: &'a dyn PageSource,
         views: &[ValidationView],
         (error, visible): (PixelError<'a>, Visible<'a>),
-    ) -> Self {
+        progress: &'a dyn Progress,
+    ) -> Result<Self, Cancelled> {
         let geometry = Arc::new(ProxyGeometry::new(&field.surface.mesh, &field.surface.part_of_triangle, &field.background));
         let tracer = GBufferTracer::new(geometry);
         let of_view = |view: &ValidationView| {
@@ -129,13 +135,15 @@ impl<'a> Thinning<'a> {
             };
             seen.map(pixel).collect::<Vec<_>>()
         };
-        let pixels: Vec<Pixel> = views.par_iter().flat_map_iter(of_view).collect();
+        let unless_cancelled = |view: &ValidationView| if progress.is_cancelled() { Err(Cancelled) } else { Ok(of_view(view)) };
+        let pixels: Vec<Vec<Pixel>> = views.par_iter().map(unless_cancelled).collect::<Result<_, _>>()?;
+        let pixels: Vec<Pixel> = pixels.into_iter().flatten().collect();
         let mut readers = vec![Vec::new(); field.sample_points.len()];
         for (number, pixel) in (0..).zip(&pixels) {
             pixel.nearest.iter().for_each(|j| readers[usize::from(*j)].push(number));
         }
         let touched = PagesTouched::new(field.page_count());
-        Self { field, settings, source: CountingSource::new(source), touched, error, visible, pixels, readers }
+        Ok(Self { field, settings, source: CountingSource::new(source), touched, error, visible, progress, pixels, readers })
     }
 
     /// How many pixels the error is the mean of.
@@ -146,7 +154,7 @@ impl<'a> Thinning<'a> {
     /// How many of the finest levels could be left out.
     pub fn levels_to_spare(&self) -> u32 {
         let size = self.field.parameters.face_size_texels;
-        let possible = |levels: &u32| size >> levels >= LEAST_FACE_SIZE && *levels <= self.field.parameters.coarser_levels;
+        let possible = |levels: &u32| size >> levels >= LEAST_FACE_SIZE && *levels <= self.field.parameters.coarser_levels.min(MOST_LEVELS);
         (0..).take_while(possible).last().unwrap_or(0)
     }
 
@@ -173,12 +181,22 @@ impl<'a> Thinning<'a> {
         })
     }
 
-    // Without the sample maps, which are not asked, and the background.
+    /// With what shading from given sample points asks for: no sample maps and no background.
     fn coarser(&self, levels: u32) -> OffsetSurfaceLightField {
+        OffsetSurfaceLightField {
+            parameters: self.coarser_parameters(levels),
+            surface: self.field.surface.clone(),
+            sample_points: self.field.sample_points.clone(),
+            sample_maps: SampleMaps { size: 0, indices: Vec::new() },
+            background: Background { surfaces: Vec::new(), textures: Vec::new(), environment: Environment::Constant(Vec3::ZERO) },
+        }
+    }
+
+    fn coarser_parameters(&self, levels: u32) -> Parameters {
         let mut parameters = self.field.parameters.clone();
         parameters.face_size_texels >>= levels;
         parameters.coarser_levels -= levels;
-        OffsetSurfaceLightField { parameters, ..self.field.clone() }
+        parameters
     }
 
     fn shade(
@@ -193,19 +211,35 @@ impl<'a> Thinning<'a> {
 
     fn mean(&self, shade: impl Fn(&Pixel, &mut PagedCubes<'_>) -> Result<Vec3, RenderError> + Sync) -> Result<f64, ThinningError> {
         let start = || PagedCubes::new(self.field, &self.source, &self.touched);
-        let error = |cubes: &mut PagedCubes<'_>, pixel: &Pixel| Ok((self.error)(shade(pixel, cubes)?, pixel.reference));
+        let error = |cubes: &mut PagedCubes<'_>, pixel: &Pixel| {
+            if self.progress.is_cancelled() {
+                return Err(ThinningError::Cancelled(Cancelled));
+            }
+            Ok(self.error_shown(shade(pixel, cubes)?, pixel))
+        };
         // In order, so that the sum does not depend on the number of threads.
-        let errors: Vec<f64> = self.pixels.par_iter().map_init(start, error).collect::<Result<_, RenderError>>()?;
+        let errors: Vec<f64> = self.pixels.par_iter().map_init(start, error).collect::<Result<_, _>>()?;
         Ok(errors.iter().sum::<f64>() / errors.len().max(1) as f64)
     }
 
+    /// As frames do, what is not finite is shown black; an error that is not finite is the greatest.
+    fn error_shown(&self, radiance: Vec3, pixel: &Pixel) -> f64 {
+        let shown = if radiance.is_finite() { radiance } else { Vec3::ZERO };
+        let error = (self.error)(shown, pixel.reference);
+        if error.is_finite() { error } else { f64::MAX.sqrt() }
+    }
+
     /// Sample points in the order in which they can be done without, until the mean error exceeds `most`.
-    pub fn order(&self, most: f64, progress: &dyn Progress) -> Result<Vec<u16>, ThinningError> {
+    pub fn order(&self, most: f64) -> Result<Vec<u16>, ThinningError> {
+        let progress = self.progress;
         let count = self.field.sample_points.len();
         let start = || PagedCubes::new(self.field, &self.source, &self.touched);
         let mut is_left = vec![true; count];
         let error_of = |pixel: &Pixel, candidates: [u16; 4], cubes: &mut PagedCubes<'_>| {
-            Ok::<_, RenderError>((self.error)(self.shade(self.field, pixel, candidates, cubes)?, pixel.reference))
+            if progress.is_cancelled() {
+                return Err(ThinningError::Cancelled(Cancelled));
+            }
+            Ok(self.error_shown(self.shade(self.field, pixel, candidates, cubes)?, pixel))
         };
         let now = |cubes: &mut PagedCubes<'_>, pixel: &Pixel| error_of(pixel, four(pixel, |_| true), cubes);
         let mut errors: Vec<f64> = self.pixels.par_iter().map_init(start, now).collect::<Result<_, _>>()?;
@@ -220,12 +254,12 @@ impl<'a> Thinning<'a> {
                 }
             }
             let loss: f64 = affected.iter().map(|(number, error)| error - errors[*number as usize]).sum();
-            Ok::<_, RenderError>((loss, affected))
+            Ok::<_, ThinningError>((loss, affected))
         };
         let first =
             |cubes: &mut PagedCubes<'_>, point: u16| Ok((Reverse(Loss(loss_of(cubes, point, &is_left, &errors)?.0)), Reverse(point)));
         progress.report("measuring sample points", 0, count as u64);
-        let all: Vec<_> = (0..count as u16).into_par_iter().map_init(start, first).collect::<Result<_, RenderError>>()?;
+        let all: Vec<_> = (0..count as u16).into_par_iter().map_init(start, first).collect::<Result<_, ThinningError>>()?;
         let mut queue = BinaryHeap::from(all);
         let mut gone = Vec::new();
         let mut sum: f64 = errors.iter().sum();
@@ -236,14 +270,16 @@ impl<'a> Thinning<'a> {
             }
             let cheapest: Vec<u16> = (0..ROUND).filter_map(|_| queue.pop()).map(|(_, Reverse(point))| point).collect();
             let anew = |cubes: &mut PagedCubes<'_>, point: &u16| Ok((*point, loss_of(cubes, *point, &is_left, &errors)?));
-            let mut losses: Vec<_> = cheapest.par_iter().map_init(start, anew).collect::<Result<_, RenderError>>()?;
+            let mut losses: Vec<_> = cheapest.par_iter().map_init(start, anew).collect::<Result<_, ThinningError>>()?;
             losses.sort_by(|(p, (a, _)), (q, (b, _))| a.total_cmp(b).then(p.cmp(q)));
             // Those that stay in the queue were cheaper when last measured than now they are.
             let next = queue.peek().map_or(f64::INFINITY, |(Reverse(loss), _)| loss.0);
             let (mut changed, mut left) = (HashSet::new(), 0);
             for (point, (loss, affected)) in losses {
                 let is_cheapest = left == 0 || loss <= next;
-                let is_apart = affected.iter().all(|(number, _)| !changed.contains(number));
+                // Of a pixel that another's leaving has changed, it may be among the four by now.
+                let is_read = |number: &u32| four(&self.pixels[*number as usize], |j| is_left[usize::from(j)]).contains(&point);
+                let is_apart = !changed.iter().any(is_read);
                 if left < LEAVE && is_cheapest && is_apart && count - gone.len() > FEWEST_POINTS {
                     for (number, error) in affected {
                         sum += error - errors[number as usize];
@@ -265,11 +301,11 @@ impl<'a> Thinning<'a> {
     pub fn thinned(&self, kept: &Kept) -> OffsetSurfaceLightField {
         let sample_points: Vec<SamplePoint> = kept.points.iter().map(|j| self.field.sample_points[usize::from(*j)]).collect();
         let sample_maps = build_sample_maps(&self.field.surface, &sample_points, self.field.sample_maps.size, self.visible);
-        let mut thinned = OffsetSurfaceLightField { sample_points, sample_maps, ..self.coarser(kept.levels) };
+        let mut parameters = self.coarser_parameters(kept.levels);
         let Parameters { face_size_texels, .. } = self.field.parameters;
-        let now = ThinnedFrom { sample_points: self.field.sample_points.len() as u32, face_size_texels };
-        thinned.parameters.thinned_from.get_or_insert(now);
-        thinned
+        parameters.thinned_from.get_or_insert(ThinnedFrom { sample_points: self.field.sample_points.len() as u32, face_size_texels });
+        let (surface, background) = (self.field.surface.clone(), self.field.background.clone());
+        OffsetSurfaceLightField { parameters, surface, sample_points, sample_maps, background }
     }
 }
 
@@ -279,7 +315,7 @@ fn four(pixel: &Pixel, is_left: impl Fn(u16) -> bool) -> [u16; 4] {
     std::array::from_fn(|_| left.next().unwrap_or(NO_SAMPLE))
 }
 
-/// Ordered, NaN last.
+/// In a total order.
 #[derive(Debug, Clone, Copy)]
 struct Loss(f64);
 
@@ -370,6 +406,12 @@ pub fn copy_pages(
     progress: &dyn Progress,
 ) -> Result<(), ThinningError> {
     let present = staging.pages_present();
+    // Of a dataset that was made elsewhere no page is taken for what it should be.
+    let read = |page: PageId| {
+        let read = version.read_page(page)?;
+        field.check_page(page.0, read.shape())?;
+        Ok::<_, ThinningError>(read)
+    };
     let baseline = field.sample_points.len();
     let cubes: Vec<usize> = kept.points.iter().map(|j| usize::from(*j)).chain([baseline]).collect();
     for (cube, &from) in cubes.iter().enumerate() {
@@ -377,27 +419,27 @@ pub fn copy_pages(
         if progress.is_cancelled() {
             return Err(Cancelled.into());
         }
-        let append = |page: u32, make: &dyn Fn() -> Result<Page, StoreError>| {
+        let append = |page: u32, make: &dyn Fn() -> Result<Page, ThinningError>| {
             let page = PageId(page);
             if !present.contains(&page) {
                 let texels = make()?;
                 staging.append_encoded(page, &encode_as(codec, &texels.shape(), &texels.to_f32())?)?;
             }
-            Ok::<_, StoreError>(())
+            Ok::<_, ThinningError>(())
         };
         for face in 0..FACES {
             let finest = PageId(OffsetSurfaceLightField::page(from, face));
             append(OffsetSurfaceLightField::page(cube, face), &|| {
-                let finest = version.read_page(finest)?;
+                let finest = read(finest)?;
                 if kept.levels == 0 {
                     Ok(finest)
                 } else {
-                    coarser_face(&finest, &version.read_page(level_page(field, from, kept.levels))?, face, kept.levels)
+                    Ok(coarser_face(&finest, &read(level_page(field, from, kept.levels))?, face, kept.levels)?)
                 }
             })?;
         }
         for level in 1..=thinned.parameters.coarser_levels {
-            append(thinned.level_page(cube, level), &|| version.read_page(level_page(field, from, level + kept.levels)))?;
+            append(thinned.level_page(cube, level), &|| read(level_page(field, from, level + kept.levels)))?;
         }
     }
     progress.report("copying cube maps", cubes.len() as u64, cubes.len() as u64);
@@ -411,6 +453,9 @@ fn level_page(field: &OffsetSurfaceLightField, cube: usize, level: u32) -> PageI
 /// A level's face with distances: R, G, B as the level has them, distances the inverse of the mean inverse ones.
 fn coarser_face(finest: &Page, level: &Page, face: usize, levels: u32) -> Result<Page, StoreError> {
     let PageShape { width, channels, pixel, .. } = level.shape();
+    if finest.shape().channels != 4 {
+        return Err(StoreError::InvalidPage { reason: format!("{} channels, R, G, B and distance expected", finest.shape().channels) });
+    }
     let shape = PageShape { width, height: width, channels: 4, pixel };
     let distances = halved_distances(finest, levels);
     let colors = level.to_f32();

@@ -64,9 +64,9 @@ fn a_constant_needs_only_what_covers_the_surface_and_the_coarsest_faces() {
     };
     let made = (field, MemoryPages(pages.0.iter().map(constant).collect()));
     let views = views(&WORLD, &made, |_, _| Vec3::splat(0.5));
-    let thinning = Thinning::new(&made.0, settings(), &made.1, &views, (&squared, &|_, _| true));
+    let thinning = Thinning::new(&made.0, settings(), &made.1, &views, (&squared, &|_, _| true), &Unattended).unwrap();
     assert!(thinning.pixel_count() > 500);
-    let order = thinning.order(1e-9, &Unattended).unwrap();
+    let order = thinning.order(1e-9).unwrap();
     // Each sees a cap of 25° about itself; half of them cover the sphere.
     assert!(order.len() >= WORLD.points / 2 - 2, "only {} left", order.len());
     assert_eq!(order.iter().collect::<HashSet<_>>().len(), order.len(), "a sample point leaves once");
@@ -79,9 +79,9 @@ fn a_constant_needs_only_what_covers_the_surface_and_the_coarsest_faces() {
 #[test]
 fn half_can_go_for_nothing_if_they_are_chosen() {
     let (made, views) = in_a_room();
-    let thinning = Thinning::new(&made.0, settings(), &made.1, &views, (&squared, &|_, _| true));
+    let thinning = Thinning::new(&made.0, settings(), &made.1, &views, (&squared, &|_, _| true), &Unattended).unwrap();
     let before = thinning.error_before().unwrap();
-    let order = thinning.order(8.0 * before, &Unattended).unwrap();
+    let order = thinning.order(8.0 * before).unwrap();
     let error = |lost: &[u16]| thinning.error_without(&lost.iter().copied().collect(), 0).unwrap();
     let (half, all) = (error(&order[..order.len() / 2]), error(&order));
     assert!(half < 1.1 * before && all > 4.0 * before, "{before}, {half}, {all}");
@@ -93,7 +93,7 @@ fn half_can_go_for_nothing_if_they_are_chosen() {
 fn what_is_copied_shows_what_was_measured() {
     let (made, views) = in_a_room();
     let (field, pages) = &made;
-    let thinning = Thinning::new(field, settings(), pages, &views, (&squared, &|_, _| true));
+    let thinning = Thinning::new(field, settings(), pages, &views, (&squared, &|_, _| true), &Unattended).unwrap();
     let root = tempfile::tempdir().unwrap();
     let version = stored(&root.path().join("whole"), pages);
     let (store, _) = Store::open(&root.path().join("thinned"), StoreOptions::local()).unwrap();
