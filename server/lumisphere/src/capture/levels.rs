@@ -88,4 +88,15 @@ mod tests {
         let dark = Page::from_f32(PageShape { width: 2, height: 2, channels: 1, ..shape }, &[nan; 4]).unwrap();
         assert_eq!(halved(&dark, 1).unwrap().to_f32(), [0.0]);
     }
+
+    #[test]
+    fn distances_are_halved_as_their_inverses_and_what_is_infinitely_far_counts_nothing() {
+        let shape = PageShape { width: 2, height: 2, channels: 4, pixel: PixelFormat::F32 };
+        let halved = |distances: [f32; 4]| {
+            let texels: Vec<f32> = distances.iter().flat_map(|d| [9.0, 9.0, 9.0, *d]).collect();
+            halved_distances(&Page::from_f32(shape, &texels).unwrap(), 1)
+        };
+        assert_eq!(halved([1.0, 1.0, 0.5, f32::INFINITY]), [1.0]);
+        assert_eq!(halved([f32::INFINITY; 4]), [f32::INFINITY]);
+    }
 }

@@ -115,14 +115,6 @@ impl From<Cancelled> for ThinError {
 }
 
 impl ThinMetric {
-    /// On the command line.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::DeltaE => "delta-e",
-            Self::RmseLightness => "rmse-l",
-        }
-    }
-
     fn of_pixel(self, shown: Vec3, reference: Vec3) -> f64 {
         let [shown, reference] = [shown, reference].map(|color| Lab::from_linear(color.to_array()));
         match self {
@@ -172,7 +164,7 @@ pub fn thin(
     let count = field.sample_points.len();
     let texels = |gone: usize, levels: u32| (count - gone + 1) as u64 * (u64::from(field.parameters.face_size_texels) >> levels).pow(2);
     // How many sample points and levels could go, by what is nearest to each pixel.
-    let mut choices = vec![(0, 0)];
+    let mut choices = Vec::new();
     for levels in 0..=thinning.levels_to_spare() {
         progress.report("choosing the face size", levels.into(), (thinning.levels_to_spare() + 1).into());
         let meets = |gone: usize| Ok::<_, ThinError>(thinning.error_without(&order[..gone].iter().copied().collect(), levels)? <= bound);
@@ -188,37 +180,38 @@ pub fn thin(
         choices.push((low, levels));
     }
     choices.sort_by_key(|(gone, levels)| texels(*gone, *levels));
+    let without = |gone: usize, levels: u32| {
+        if progress.is_cancelled() {
+            return Err(ThinError::from(Cancelled));
+        }
+        let lost: HashSet<u16> = order[..gone].iter().copied().collect();
+        let kept = Kept { points: (0..count as u16).filter(|j| !lost.contains(j)).collect(), levels };
+        let thinned = thinning.thinned(&kept);
+        let error = thinning.error_of(&thinned, &kept)?;
+        let report = ThinReport {
+            pixels: thinning.pixel_count(),
+            error_before: metric.of_mean(before),
+            error: metric.of_mean(error),
+            sample_points_before: count,
+            sample_points: kept.points.len(),
+            face_size_texels_before: field.parameters.face_size_texels,
+            face_size_texels: thinned.parameters.face_size_texels,
+        };
+        Ok((error <= bound, (thinned, kept, report)))
+    };
     for (most, levels) in choices {
         let mut gone = most;
         for step in 0..MOST_STEPS_BACK {
             progress.report("building sample maps", step.into(), MOST_STEPS_BACK.into());
-            if progress.is_cancelled() {
-                return Err(Cancelled.into());
+            let (keeps_bound, result) = without(gone, levels)?;
+            if keeps_bound {
+                return Ok(result);
             }
-            let lost: HashSet<u16> = order[..gone].iter().copied().collect();
-            let kept = Kept { points: (0..count as u16).filter(|j| !lost.contains(j)).collect(), levels };
-            let thinned = thinning.thinned(&kept);
-            let after = thinning.error_of(&thinned, &kept)?;
-            // Where nothing goes the sample maps are about what they were.
-            if after <= bound || (gone, levels) == (0, 0) {
-                let report = ThinReport {
-                    pixels: thinning.pixel_count(),
-                    error_before: metric.of_mean(before),
-                    error: metric.of_mean(after),
-                    sample_points_before: count,
-                    sample_points: kept.points.len(),
-                    face_size_texels_before: field.parameters.face_size_texels,
-                    face_size_texels: thinned.parameters.face_size_texels,
-                };
-                return Ok((thinned, kept, report));
-            }
-            if gone == 0 {
-                break;
-            }
-            gone = if step + 2 == MOST_STEPS_BACK { 0 } else { (STEP_BACK * gone as f64) as usize };
+            gone = (STEP_BACK * gone as f64) as usize;
         }
     }
-    unreachable!("the last choice, and its last step, leave nothing out");
+    // All of it, by sample maps built anew: about the error that it had.
+    Ok(without(0, 0)?.1)
 }
 
 /// The windows that show the object, and their truth.

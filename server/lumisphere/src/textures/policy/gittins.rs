@@ -1,4 +1,4 @@
-//! Keeps the pages of which the most hits are expected for the time that they take a place: on rendered frames within 1.8 % of the best
+//! Keeps the pages of which the most hits are expected for the time that they take a place: on rendered frames within 3.1 % of the best
 //! of the others at every size measured, and mostly better. Who leaves has the least Gittins index, by its age and its class; see [`reuse_times`](super::reuse_times).
 //!
 //! Age is counted in visits that came after more than a while, half a visit for every page held: the run of visits with which a

@@ -69,7 +69,7 @@ pub enum PolicyKind {
 impl PolicyKind {
     /// Every one.
     pub const ALL: [Self; 6] = [Self::Lru, Self::Clock, Self::Arc, Self::S3Fifo, Self::FrameLru, Self::Gittins];
-    /// On rendered frames within 1.8 % of the best of the others at every size measured, and mostly better (docs/measurements.md).
+    /// On rendered frames within 3.1 % of the best of the others at every size measured, and mostly better (docs/measurements.md).
     pub const DEFAULT: Self = Self::Gittins;
 
     /// As written in configuration.

@@ -76,14 +76,18 @@ pub fn stored(root: &Path, pages: &MemoryPages) -> Arc<DatasetVersion> {
     for (number, page) in pages.0.iter().enumerate() {
         staging.append_page(PageId(number as u32), &page.shape(), &page.to_f32()).unwrap();
     }
-    let publication = Publication {
+    staging.publish(publication()).unwrap()
+}
+
+/// Of pages alone.
+pub fn publication() -> Publication {
+    Publication {
         kind: "offset_surface_light_field".into(),
         parameters: serde_json::Value::Null,
         inputs: Default::default(),
         code_version: "test".into(),
         created_unix_millis: 0,
-    };
-    staging.publish(publication).unwrap()
+    }
 }
 
 /// From infinity, in the unturned world; smooth, between 0.1 and 1.6.

@@ -6,14 +6,14 @@ use std::sync::Arc;
 use glam::Vec3;
 
 use super::super::shade::mirror_direction;
-use super::fixture::{MemoryPages, WORLD, World, stored};
+use super::fixture::{MemoryPages, WORLD, World, publication, stored};
 use super::{frame_of, mirror};
 use crate::progress::Unattended;
 use crate::representations::Answer;
 use crate::representations::offset_surface_light_field::{
     Blend, Filter, Kept, OffsetSurfaceLightField, Settings, Thinning, ValidationPixel, ValidationView, copy_pages,
 };
-use crate::textures::{Codec, Page, PageId, Publication, Store, StoreOptions};
+use crate::textures::{Codec, Page, PageId, Store, StoreOptions};
 
 const IN_A_ROOM: World = World { points: 120, face_size: 64, room: 2.5, ..WORLD };
 const CORRECTED: Blend = Blend::Corrected;
@@ -104,14 +104,7 @@ fn what_is_copied_shows_what_was_measured() {
         store.create_dataset(name).unwrap();
         let staging = store.stage(name, "test").unwrap();
         copy_pages((field, &version), (&thinned, &kept), Codec::DEFAULT, &staging, &Unattended).unwrap();
-        let publication = Publication {
-            kind: "offset_surface_light_field".into(),
-            parameters: serde_json::Value::Null,
-            inputs: Default::default(),
-            code_version: "test".into(),
-            created_unix_millis: 0,
-        };
-        let copied = staging.publish(publication).unwrap();
+        let copied = staging.publish(publication()).unwrap();
         assert_eq!(copied.page_count() as usize, thinned.page_count());
         let copied = MemoryPages((0..copied.page_count()).map(|page| Arc::new(copied.read_page(PageId(page)).unwrap())).collect());
         let (mut sum, mut count) = (0.0, 0);
