@@ -2,8 +2,8 @@
 //!
 //! The library is usable alone, without the server and (`default-features = false`) without a GPU. It does not print,
 //! read the environment or know the wire. Modules may import only from the left of this list; a test reads the `use` lines:
-//! `geometry` ← `directions`, `radiometry`, `images` ← `charts`, `scenes`, `textures`, `raytrace`, `gpu`, `capture`, `formats` ← `representations`
-//! ← `render`, `evaluate`.
+//! `geometry` ← `directions`, `radiometry`, `images` ← `charts`, `scenes`, `textures`, `raytrace`, `fitting`, `gpu`, `capture`, `formats`
+//! ← `representations` ← `render`, `evaluate`.
 //!
 //! Conventions: right-handed world, +Y up; cameras look along −Z; radiance is linear Rec. 709, f32; directions are unit
 //! vectors that point away from the surface point.
@@ -12,6 +12,7 @@ pub mod capture;
 pub mod charts;
 pub mod directions;
 pub mod evaluate;
+pub mod fitting;
 pub mod formats;
 pub mod geometry;
 #[cfg(feature = "gpu")]
