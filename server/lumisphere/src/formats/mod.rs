@@ -1,10 +1,16 @@
-//! Foreign formats, one file each: bytes in, our geometry (+Y up) or reflectance out. Nothing here panics on what somebody else wrote.
+//! Foreign formats, one file each: bytes in, our geometry (+Y up), cameras or reflectance out. Nothing here panics on what somebody else wrote.
 
 pub mod bpt;
+pub mod colmap;
 pub mod gltf;
+mod known_cameras;
+pub mod lp;
 pub mod merl;
 pub mod obj;
+pub mod photograph_list;
+pub mod transforms_json;
 
+pub use known_cameras::{KnownCamerasError, MAX_FILE_BYTES, MAX_PHOTOGRAPHS, MAX_SIDE_PX};
 use thiserror::Error;
 
 use crate::geometry::MeshError;

@@ -2,6 +2,8 @@
 
 mod bezier_patch;
 mod camera;
+mod distortion;
+mod photograph_camera;
 mod pose;
 mod ray;
 mod subdivision;
@@ -10,6 +12,8 @@ mod triangle_mesh;
 
 pub use bezier_patch::{BezierPatch, PatchPoint};
 pub use camera::{Camera, CameraError, Intrinsics};
+pub use distortion::{Distortion, DistortionError};
+pub use photograph_camera::PhotographCamera;
 pub use pose::{Pose, PoseError};
 pub use ray::Ray;
 pub use subdivision::subdivide;
