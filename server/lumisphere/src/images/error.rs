@@ -13,6 +13,8 @@ pub enum Format {
     Png,
     /// JPEG: sRGB-encoded, 8 bits, lossy.
     Jpeg,
+    /// TIFF: photographs, 8 or 16 bits, taken as sRGB.
+    Tiff,
 }
 
 impl std::fmt::Display for Format {
@@ -22,6 +24,7 @@ impl std::fmt::Display for Format {
             Self::Hdr => "Radiance HDR",
             Self::Png => "PNG",
             Self::Jpeg => "JPEG",
+            Self::Tiff => "TIFF",
         })
     }
 }
@@ -33,7 +36,7 @@ pub enum ImageError {
     #[error("cannot access image: {0}")]
     Io(#[from] std::io::Error),
     /// The bytes begin like none of the formats that are read.
-    #[error("neither an OpenEXR, Radiance HDR, PNG nor JPEG image")]
+    #[error("neither an OpenEXR, Radiance HDR, PNG, JPEG nor TIFF image")]
     UnknownFormat,
     /// The bytes are cut off or contradict themselves.
     #[error("malformed or truncated {format} image: {reason}")]

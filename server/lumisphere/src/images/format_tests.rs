@@ -332,7 +332,7 @@ fn errors_in_files_name_the_file_last() {
     let path = folder.path().join("notes.exr");
     std::fs::write(&path, "hello").unwrap();
     let message = read_image(&path, LIMITS).unwrap_err().to_string();
-    assert_eq!(message, format!("neither an OpenEXR, Radiance HDR, PNG nor JPEG image: {}", path.display()));
+    assert_eq!(message, format!("neither an OpenEXR, Radiance HDR, PNG, JPEG nor TIFF image: {}", path.display()));
     assert!(matches!(read_image(&folder.path().join("absent.png"), LIMITS), Err(ImageError::InFile { .. })));
 }
 

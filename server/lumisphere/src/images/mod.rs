@@ -13,6 +13,7 @@ mod metrics;
 mod png;
 mod read;
 mod rgb8;
+mod tiff;
 mod tolerances;
 mod tone_map;
 
@@ -33,7 +34,7 @@ pub use image::Image;
 pub use jpeg::{JpegQuality, decode_jpeg, decode_jpeg_codes, encode_jpeg};
 pub use metrics::{CompareError, CompareOptions, Comparison, absolute_error_image, compare, flip_error_image};
 pub use png::{decode_png, decode_png_codes, encode_png};
-pub use read::{Nan, ReadLimits, decode_image, read_image};
+pub use read::{Nan, ReadLimits, decode_image, decode_image_codes, read_image};
 pub use rgb8::Rgb8;
 pub use tolerances::Tolerance;
 pub use tone_map::{Exposure, ToneMap, tone_mapped};

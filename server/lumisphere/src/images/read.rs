@@ -5,7 +5,7 @@
 
 use std::path::Path;
 
-use super::{Format, Image, ImageError, exr, hdr, jpeg, png};
+use super::{Format, Image, ImageError, Rgb8, exr, hdr, jpeg, png, tiff};
 
 /// How much an image may hold and whether it may hold NaN. A header can announce any size; it is checked before memory is taken.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -38,6 +38,7 @@ impl Format {
             [b'#', b'?', ..] => Ok(Self::Hdr),
             [0x89, b'P', b'N', b'G', ..] => Ok(Self::Png),
             [0xff, 0xd8, 0xff, ..] => Ok(Self::Jpeg),
+            [b'I', b'I', 42, 0, ..] | [b'M', b'M', 0, 42, ..] => Ok(Self::Tiff),
             _ => Err(ImageError::UnknownFormat),
         }
     }
@@ -51,7 +52,7 @@ pub fn read_image(path: &Path, limits: ReadLimits) -> Result<Image, ImageError> 
 
 /// Linear planes R G B, and A where the image has alpha, of an encoded image.
 ///
-/// PNG and JPEG are taken as sRGB and linearised (their gamma chunks and profiles are ignored); alpha is linear in the file and
+/// PNG, JPEG and TIFF are taken as sRGB and linearised (their gamma chunks and profiles are ignored); alpha is linear in the file and
 /// stays as it is. EXR (first layer) and Radiance HDR are linear already. A grey image gives three equal planes.
 pub fn decode_image(bytes: &[u8], limits: ReadLimits) -> Result<Image, ImageError> {
     match Format::of(bytes)? {
@@ -59,6 +60,19 @@ pub fn decode_image(bytes: &[u8], limits: ReadLimits) -> Result<Image, ImageErro
         Format::Hdr => hdr::decode_hdr(bytes, limits),
         Format::Png => png::decode_png(bytes, limits),
         Format::Jpeg => jpeg::decode_jpeg(bytes, limits),
+        Format::Tiff => tiff::decode_tiff(bytes, limits),
+    }
+}
+
+/// The codes of a photograph as they are in its file, 16-bit ones rounded to 8; not of formats that hold linear values.
+pub fn decode_image_codes(bytes: &[u8], limits: ReadLimits) -> Result<Rgb8, ImageError> {
+    match Format::of(bytes)? {
+        Format::Png => png::decode_png_codes(bytes, limits),
+        Format::Jpeg => jpeg::decode_jpeg_codes(bytes, limits),
+        Format::Tiff => tiff::decode_tiff_codes(bytes, limits),
+        format @ (Format::Exr | Format::Hdr) => {
+            Err(ImageError::Unsupported { format, feature: "linear values where codes are expected".into() })
+        }
     }
 }
 
