@@ -2,7 +2,8 @@
 //!
 //! Unidirectional paths with next-event estimation (sky, area and point lights, chosen by power) and multiple importance sampling
 //! (Veach 1997), over a four-wide tree built by `obvhs`. Surfaces are two-sided; area lights shine from the side that their
-//! normals point to. Materials: Lambert (constant or textured), mirror, any of `radiometry::brdf`.
+//! normals point to. Materials: Lambert (constant or textured), mirror, any of `radiometry::brdf`, and
+//! Ashikhmin & Shirley's with textures for parameters.
 //!
 //! Fails slowly where its sampling has no answer: caustics of small lights through mirrors, and point lights seen in mirrors
 //! (which have no extent to be hit: their caustics are missing).

@@ -137,6 +137,25 @@ impl Tracer {
     }
 }
 
+impl Tracer {
+    /// Radiance that arrives along each of `count` bundles of rays: the mean over `settings.samples_per_pixel` rays `ray(bundle, u)`, u spread
+    /// evenly over [0, 1]². Random numbers come from the seed and `first` + the bundle's number. One thread.
+    pub fn radiance_along(&self, count: usize, first: u64, ray: &dyn Fn(usize, Vec2) -> Ray, settings: &TraceSettings) -> Vec<Vec3> {
+        let mut paths = self.paths(settings.max_bounces);
+        let mut radiance = Vec::with_capacity(count);
+        for start in (0..count).step_by(TILE * TILE) {
+            let push = |paths: &mut PathTracer<'_>, bundle: usize, mut random: SampleSequence| {
+                let ray = ray(start + bundle, random.pair());
+                paths.push(ray.origin, ray.direction, random);
+            };
+            let index = |bundle: usize| first + (start + bundle) as u64;
+            let estimates = estimate(&mut paths, (count - start).min(TILE * TILE), settings, index, push, |_| ());
+            radiance.extend(estimates.iter().map(|e| e.mean));
+        }
+        radiance
+    }
+}
+
 /// Mean of the samples of a pixel so far (Welford's recurrence: no cancellation between the sum of squares and the square of the sum).
 #[derive(Debug, Clone, Copy)]
 struct Estimate {

@@ -8,7 +8,7 @@ use super::sky_cells::NormalBin;
 use super::surfaces::{Reflectance, SurfacePoint, TexelGrid};
 use super::warp;
 use crate::geometry::TangentFrame;
-use crate::radiometry::brdf::{Brdf, BrdfModel};
+use crate::radiometry::brdf::{AshikhminShirley, Brdf, BrdfModel};
 
 /// How the point reflects, seen from `wo`: both normals on the viewer's side, albedo looked up.
 #[derive(Debug, Clone, Copy)]
@@ -33,6 +33,12 @@ pub(super) enum Lobe<'a> {
         /// What its +X lies along, any length; zero leaves it open.
         tangent: Vec3,
     },
+    /// The same with the parameters that textures have here.
+    Textured {
+        brdf: AshikhminShirley,
+        /// As in `Glossy`.
+        tangent: Vec3,
+    },
 }
 
 /// A sampled direction. `weight` = brdf · cosine / pdf.
@@ -47,11 +53,14 @@ pub(super) struct Scattered {
 impl<'a> Scatterer<'a> {
     pub fn new(point: &SurfacePoint, reflectance: Reflectance, textures: &[TexelGrid], brdfs: &'a [BrdfModel], wo: Vec3) -> Self {
         let (geometric_normal, shading_normal) = facing(point, wo);
+        let uv = || point.triangle.uv(point.u, point.v);
         let lobe = match reflectance {
             Reflectance::Lambert(albedo) => Lobe::Lambert(albedo),
-            Reflectance::LambertTexture(texture) => Lobe::Lambert(textures[texture].sample(point.triangle.uv(point.u, point.v))),
+            Reflectance::LambertTexture(texture) => Lobe::Lambert(textures[texture].sample(uv())),
             Reflectance::Mirror(reflectance) => Lobe::Mirror(reflectance),
             Reflectance::Glossy { brdf, .. } => Lobe::Glossy { brdf: &brdfs[brdf], tangent: point.triangle.tangent() },
+            Reflectance::Textured(maps) => Lobe::Textured { brdf: maps.brdf(textures, uv()), tangent: point.triangle.tangent() },
+            Reflectance::TexturedLambert(maps) => Lobe::Lambert(maps.albedo(textures, uv())),
         };
         Self { geometric_normal, shading_normal, wo, lobe }
     }
@@ -73,12 +82,15 @@ impl<'a> Scatterer<'a> {
         match self.lobe {
             Lobe::Lambert(albedo) => (albedo * (cosine * FRAC_1_PI), cosine * FRAC_1_PI),
             Lobe::Mirror(_) => (Vec3::ZERO, 0.0),
-            Lobe::Glossy { brdf, tangent } => {
-                let frame = TangentFrame::along(self.shading_normal, tangent);
-                let (wo, wi) = (frame.local_from_world(self.wo), frame.local_from_world(wi));
-                (brdf.eval(wo, wi) * wi.z, brdf.pdf(wo, wi))
-            }
+            Lobe::Glossy { brdf, tangent } => self.eval_glossy(brdf, tangent, wi),
+            Lobe::Textured { brdf, tangent } => self.eval_glossy(&brdf, tangent, wi),
         }
+    }
+
+    fn eval_glossy(&self, brdf: &impl Brdf, tangent: Vec3, wi: Vec3) -> (Vec3, f32) {
+        let frame = TangentFrame::along(self.shading_normal, tangent);
+        let (wo, wi) = (frame.local_from_world(self.wo), frame.local_from_world(wi));
+        (brdf.eval(wo, wi) * wi.z, brdf.pdf(wo, wi))
     }
 
     /// A direction to go on with; None where the surface absorbs it.
@@ -92,10 +104,11 @@ impl<'a> Scatterer<'a> {
             }
             Lobe::Mirror(reflectance) => Some(Scattered { wi: self.mirrored(), weight: reflectance, pdf: None }),
             Lobe::Glossy { brdf, tangent } => self.sample_glossy(brdf, tangent, u),
+            Lobe::Textured { brdf, tangent } => self.sample_glossy(&brdf, tangent, u),
         }
     }
 
-    fn sample_glossy(&self, brdf: &BrdfModel, tangent: Vec3, u: Vec2) -> Option<Scattered> {
+    fn sample_glossy(&self, brdf: &impl Brdf, tangent: Vec3, u: Vec2) -> Option<Scattered> {
         let frame = TangentFrame::along(self.shading_normal, tangent);
         let wo = frame.local_from_world(self.wo);
         let (local, pdf) = brdf.sample(wo, u)?;

@@ -4,7 +4,7 @@ use glam::{Vec2, Vec3};
 
 use super::traverse::RawHit;
 use crate::geometry::{TriangleMesh, tangent_along_u};
-use crate::radiometry::brdf::{BrdfModel, CookTorrance, directional_albedo};
+use crate::radiometry::brdf::{AshikhminShirley, BrdfModel, CookTorrance, directional_albedo};
 use crate::scenes::{Albedo, Material, Scene, Texture};
 
 /// One triangle with everything shading asks for. Normals and winding may disagree in a file: `front` follows the normals.
@@ -34,6 +34,17 @@ pub(super) enum Reflectance {
         /// Of the Lambertian surface that it becomes when it is made diffuse.
         albedo: Vec3,
     },
+    Textured(GlossMaps),
+    /// A `Textured` one made diffuse.
+    TexturedLambert(GlossMaps),
+}
+
+/// What a `Material::Glossy` is made of.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct GlossMaps {
+    diffuse: Albedo,
+    specular: Albedo,
+    roughness: Albedo,
 }
 
 /// Texture with its channels side by side: one cache line a footprint row instead of three.
@@ -137,6 +148,9 @@ impl Reflectance {
                 // Smoother than that, or numbers that no loader lets pass.
                 _ => Self::Mirror(*reflectance),
             },
+            Material::Glossy { diffuse, specular, roughness } => {
+                Self::Textured(GlossMaps { diffuse: *diffuse, specular: *specular, roughness: *roughness })
+            }
             Material::Brdf(brdf) => Self::glossy(brdf.clone(), brdfs),
         }
     }
@@ -153,8 +167,30 @@ impl Reflectance {
     pub fn diffuse(self) -> Self {
         match self {
             Self::Mirror(albedo) | Self::Glossy { albedo, .. } => Self::Lambert(albedo),
+            Self::Textured(maps) => Self::TexturedLambert(maps),
             lambert => lambert,
         }
+    }
+}
+
+impl GlossMaps {
+    /// The model at a place of the texture.
+    pub fn brdf(&self, textures: &[TexelGrid], uv: Vec2) -> AshikhminShirley {
+        let [diffuse, specular, roughness] = [self.diffuse, self.specular, self.roughness].map(|map| look_up(map, textures, uv));
+        AshikhminShirley::from_texels(diffuse, specular, roughness.truncate())
+    }
+
+    /// What it reflects along the normal but for the rims of both lobes: R_s, and R_d of what is left.
+    pub fn albedo(&self, textures: &[TexelGrid], uv: Vec2) -> Vec3 {
+        let [diffuse, specular] = [self.diffuse, self.specular].map(|map| look_up(map, textures, uv));
+        specular + (Vec3::ONE - specular) * diffuse
+    }
+}
+
+fn look_up(map: Albedo, textures: &[TexelGrid], uv: Vec2) -> Vec3 {
+    match map {
+        Albedo::Constant(value) => value,
+        Albedo::Texture(texture) => textures[texture].sample(uv),
     }
 }
 

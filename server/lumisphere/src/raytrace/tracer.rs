@@ -23,7 +23,8 @@ use crate::scenes::{Albedo, Material, Scene};
 pub enum Appearance {
     /// Its own material.
     AsAuthored,
-    /// Lambertian: its own albedo; of a mirror or GGX material its reflectance, of another what it reflects of light along the normal.
+    /// Lambertian: its own albedo; of a mirror or GGX material its reflectance, of a glossy one R_s + (1 − R_s) R_d, of another what it
+    /// reflects of light along the normal.
     Diffuse,
     /// A camera ray that hits the object sees `reflectance` × the radiance of one mirror reflection over the scene in which the
     /// object is `Diffuse`: what an offset surface light field should converge to. The reflection costs no bounce, so the
@@ -274,8 +275,13 @@ fn check(scene: &Scene) -> Result<(), TraceError> {
         return Err(TraceError::TooManyTriangles { triangles });
     }
     for object in &scene.objects {
+        let texture_known = |map: &Albedo| match map {
+            Albedo::Constant(_) => true,
+            Albedo::Texture(texture) => *texture < scene.textures.len(),
+        };
         let texture_known = match scene.materials.get(object.material) {
-            Some(Material::Diffuse { albedo: Albedo::Texture(texture) }) => *texture < scene.textures.len(),
+            Some(Material::Diffuse { albedo }) => texture_known(albedo),
+            Some(Material::Glossy { diffuse, specular, roughness }) => [diffuse, specular, roughness].into_iter().all(texture_known),
             material => material.is_some(),
         };
         if !texture_known {

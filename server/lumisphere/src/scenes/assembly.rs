@@ -145,7 +145,7 @@ fn scaled_albedo(mut image: Image, factor: Vec3) -> Result<Image, String> {
     for (plane, factor) in image.planes.iter_mut().zip(factor.to_array()) {
         plane.iter_mut().for_each(|v| *v *= factor);
         if let Some(v) = plane.iter().find(|v| !(0.0..=1.0).contains(*v)) {
-            return Err(format!("albedo texture holds {v}, 0 to 1 expected"));
+            return Err(format!("texture of a material holds {v}, 0 to 1 expected"));
         }
     }
     Ok(image)

@@ -127,8 +127,29 @@ fn a_material_may_be_any_brdf() {
 }
 
 #[test]
+fn a_glossy_material_takes_constants_or_pictures() {
+    let scene =
+        with_material(r#"{"type": "glossy", "diffuse_texture": "red.png", "specular": [0.04, 0.04, 0.04], "roughness": [0.1, 0.4]}"#);
+    let scene = scene.unwrap();
+    let [specular, roughness] = [Vec3::splat(0.04), Vec3::new(0.1, 0.4, 0.0)].map(Albedo::Constant);
+    assert_eq!(scene.materials, [Material::Glossy { diffuse: Albedo::Texture(0), specular, roughness }]);
+    let even = with_material(r#"{"type": "glossy", "diffuse": [0, 0, 0], "specular_texture": "red.png", "roughness": 0.3}"#).unwrap();
+    let Material::Glossy { roughness, .. } = &even.materials[0] else { panic!("glossy") };
+    assert_eq!(*roughness, Albedo::Constant(Vec3::new(0.3, 0.3, 0.0)));
+}
+
+#[test]
 fn a_brdf_out_of_range_is_named_with_its_place() {
     for (material, expected) in [
+        (
+            r#"{"type": "glossy", "diffuse": [0, 0, 0], "specular": [0, 0, 0], "roughness": [0.1, 1.5]}"#,
+            "materials.m.roughness is [0.1, 1.5], two roughnesses from 0 to 1 expected",
+        ),
+        (
+            r#"{"type": "glossy", "diffuse": [0, 0, 0], "specular": [0, 0, 0], "roughness": -0.1}"#,
+            "materials.m.roughness is -0.1, a number from 0 to 1 expected",
+        ),
+        (r#"{"type": "glossy", "diffuse": [0, 0, 0], "roughness": 0.1}"#, "a glossy material with either \"specular\" or"),
         (
             r#"{"type": "phong", "diffuse": [0.6, 0, 0], "specular": [0.5, 0, 0], "exponent": 20}"#,
             "materials.m.specular is [0.5, 0, 0], diffuse + specular of at most 1 in each channel expected: scene.json",
@@ -146,7 +167,7 @@ fn a_brdf_out_of_range_is_named_with_its_place() {
             r#"{"type": "lafortune", "diffuse": [0, 0, 0], "lobes": [{"reflectance": [1, 1, 1], "direction": [0, 0, 0], "exponent": 8}]}"#,
             "materials.m.lobes[0].direction is [0, 0, 0], three finite numbers, not all 0 expected",
         ),
-        (r#"{"type": "glossy"}"#, "materials.m.type is \"glossy\", \"diffuse\", \"mirror\""),
+        (r#"{"type": "shiny"}"#, "materials.m.type is \"shiny\", \"diffuse\", \"mirror\""),
         (r#"{"type": "measured", "file": "short.binary"}"#, "table has 1000 bytes, 34992012 expected: short.binary"),
         (r#"{"type": "measured", "file": "../grey.binary"}"#, "path may not leave the scene's folder"),
     ] {

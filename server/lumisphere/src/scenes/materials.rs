@@ -25,6 +25,7 @@ pub(super) fn add(assembly: &mut Assembly, node: Option<Node>) -> Result<(), Sce
                 let alpha = alpha.length().ok().filter(|a| *a <= 1.0).ok_or_else(|| alpha.wrong("a roughness above 0, at most 1"))?;
                 Material::Ggx { alpha, reflectance: reflectance()? }
             }
+            "glossy" => glossy(assembly, &fields)?,
             "measured" => Material::Brdf(measured(assembly, &fields.required("file")?)?),
             model => match parameters(model, &fields)? {
                 Some(parameters) => Material::Brdf(checked(parameters, &fields)?.into()),
@@ -37,17 +38,44 @@ pub(super) fn add(assembly: &mut Assembly, node: Option<Node>) -> Result<(), Sce
     Ok(())
 }
 
-const KINDS: &str =
-    "\"diffuse\", \"mirror\", \"ggx\", \"phong\", \"ashikhmin_shirley\", \"cook_torrance\", \"ward\", \"lafortune\" or \"measured\"";
+const KINDS: &str = "\"diffuse\", \"mirror\", \"ggx\", \"phong\", \"ashikhmin_shirley\", \"cook_torrance\", \"ward\", \"lafortune\", \"glossy\" or \"measured\"";
 
 fn albedo(assembly: &mut Assembly, fields: &Fields) -> Result<Albedo, SceneError> {
-    match (fields.optional("albedo"), fields.optional("albedo_texture")) {
-        (Some(constant), None) => Ok(Albedo::Constant(constant.reflectance()?)),
+    let expected = "a diffuse material with either \"albedo\" or \"albedo_texture\"";
+    constant_or_texture(assembly, fields, ["albedo", "albedo_texture"], |n| n.reflectance(), expected)
+}
+
+fn glossy(assembly: &mut Assembly, fields: &Fields) -> Result<Material, SceneError> {
+    let mut colour = |keys, expected| constant_or_texture(assembly, fields, keys, |n| n.reflectance(), expected);
+    let diffuse = colour(["diffuse", "diffuse_texture"], "a glossy material with either \"diffuse\" or \"diffuse_texture\"")?;
+    let specular = colour(["specular", "specular_texture"], "a glossy material with either \"specular\" or \"specular_texture\"")?;
+    let expected = "a glossy material with either \"roughness\" or \"roughness_texture\"";
+    let roughness = constant_or_texture(assembly, fields, ["roughness", "roughness_texture"], roughness, expected)?;
+    Ok(Material::Glossy { diffuse, specular, roughness })
+}
+
+/// Along u and v, or the same along both.
+fn roughness(node: &Node) -> Result<Vec3, SceneError> {
+    let along = if node.is_list() { node.numbers::<2>()? } else { [node.number_in(0.0..=1.0)?; 2] };
+    let valid = along.iter().all(|a| (0.0..=1.0).contains(a));
+    if valid { Ok(Vec3::new(along[0], along[1], 0.0)) } else { Err(node.wrong("two roughnesses from 0 to 1")) }
+}
+
+/// What stands under the first key, or the picture that the second names.
+fn constant_or_texture(
+    assembly: &mut Assembly,
+    fields: &Fields,
+    [constant, texture]: [&'static str; 2],
+    read: impl Fn(&Node) -> Result<Vec3, SceneError>,
+    expected: &str,
+) -> Result<Albedo, SceneError> {
+    match (fields.optional(constant), fields.optional(texture)) {
+        (Some(constant), None) => Ok(Albedo::Constant(read(&constant)?)),
         (None, Some(texture)) => {
             let path = assembly.beside(texture.text()?);
             assembly.texture(&path, Vec3::ONE, &texture)
         }
-        _ => Err(fields.node().wrong("a diffuse material with either \"albedo\" or \"albedo_texture\"")),
+        _ => Err(fields.node().wrong(expected)),
     }
 }
 

@@ -7,7 +7,7 @@
 //!
 //! | key | value |
 //! | --- | --- |
-//! | `materials.NAME` | `{type: "diffuse", albedo: [r,g,b] or albedo_texture: file}` · `{type: "mirror", reflectance}` · `{type: "ggx", alpha, reflectance}`; + `"phong"`, `"ashikhmin_shirley"`, `"cook_torrance"`, `"ward"`, `"lafortune"` with the keys of `radiometry::brdf::BrdfParameters`, `{type: "measured", file}` (MERL's binary tables); +X of an anisotropic one lies along the texture's u. Textures: v runs up, repeat, bilinear; PNG and JPEG are sRGB, EXR and .hdr linear |
+//! | `materials.NAME` | `{type: "diffuse", albedo: [r,g,b] or albedo_texture: file}` · `{type: "mirror", reflectance}` · `{type: "ggx", alpha, reflectance}`; + `"phong"`, `"ashikhmin_shirley"`, `"cook_torrance"`, `"ward"`, `"lafortune"` with the keys of `radiometry::brdf::BrdfParameters`, `{type: "measured", file}` (MERL's binary tables), `{type: "glossy", diffuse, specular, roughness}` (Ashikhmin & Shirley's model; each a constant, or under `diffuse_texture`, `specular_texture`, `roughness_texture` a picture; roughness: one number, [along u, along v], or red and green); +X of an anisotropic one lies along the texture's u. Textures: v runs up, repeat, bilinear; PNG and JPEG are sRGB, EXR and .hdr linear |
 //! | `objects[]` | `name`, one geometry, `material`; `emission` [r,g,b]: radiance of a one-sided light, front = where normals point |
 //! | ` mesh` | OBJ file; + without `material` it is cut into objects `name/part` by its own MTL. `triangles`, where given, must be its count |
 //! | ` patches` + | `"builtin:teapot"`, `"builtin:teacup"`, `"builtin:teaspoon"` or a `.bpt` file (`up_axis` "+Y" or "+Z"); `first_patches` n; `tessellation` `{per_edge: n}` or `{max_edge: length}` |
@@ -38,7 +38,7 @@ mod tea_set;
 mod tessellate;
 mod transform;
 
-pub use builtin::{BUILTIN_NAMES, BUILTIN_SCENE_PATH, BuiltinOptions, builtin, builtin_files};
+pub use builtin::{BUILTIN_NAMES, BUILTIN_SCENE_PATH, BuiltinOptions, PatchworkOptions, PlaneLamp, PlaneOptions, builtin, builtin_files};
 pub use environment::{Layout, from_faces, from_picture};
 pub use error::SceneError;
 pub use files::{DEFAULT_FILE_LIMIT_BYTES, FileError, SceneBundle, SceneFiles, SceneFolder, normalised};

@@ -77,12 +77,21 @@ pub enum Material {
         /// In [0, 1] per channel.
         reflectance: Vec3,
     },
+    /// Ashikhmin & Shirley's model with parameters that may change over the surface: several materials in one.
+    Glossy {
+        /// R_d, in [0, 1] per channel.
+        diffuse: Albedo,
+        /// R_s, reflectance at normal incidence, in [0, 1] per channel.
+        specular: Albedo,
+        /// Red and green: roughness α along the texture's u and v, in [0, 1]. Blue says nothing.
+        roughness: Albedo,
+    },
     /// Any other; +X of its tangent frame lies along the texture's u.
     Brdf(BrdfModel),
 }
 
 /// A constant will do for most surfaces.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub enum Albedo {
     /// The same everywhere.
     Constant(Vec3),
@@ -187,7 +196,7 @@ impl Scene {
         match &self.materials[material] {
             Material::Diffuse { albedo: Albedo::Constant(albedo) } => Some(*albedo),
             Material::Diffuse { albedo: Albedo::Texture(t) } => Some(self.textures[*t].sample(u, v)),
-            Material::Mirror { .. } | Material::Ggx { .. } | Material::Brdf(_) => None,
+            Material::Mirror { .. } | Material::Ggx { .. } | Material::Glossy { .. } | Material::Brdf(_) => None,
         }
     }
 }

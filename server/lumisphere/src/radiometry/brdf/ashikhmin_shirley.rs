@@ -11,7 +11,7 @@ use std::f32::consts::{PI, TAU};
 use glam::{Vec2, Vec3};
 
 use super::lobes::{cosine_pdf, log_ratio, one_minus_exp, reflected, sample_highlight};
-use super::{Brdf, BrdfError, above_horizon, exponent, fifth_power, fresnel, half_vector, reflectance, share_of_second};
+use super::{Brdf, BrdfError, LARGEST_EXPONENT, above_horizon, exponent, fifth_power, fresnel, half_vector, reflectance, share_of_second};
 
 /// A diffuse surface under an anisotropic, Fresnel-weighted highlight.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -31,6 +31,16 @@ impl AshikhminShirley {
             specular: reflectance("specular", specular)?,
             exponents: Vec2::new(exponent("exponent_u", exponents.x)?, exponent("exponent_v", exponents.y)?),
         })
+    }
+
+    /// From the texels of a surface, which filtering may leave a rounding out of their range: all are clamped into [0, 1]. `roughness` α
+    /// along +X and +Y becomes n = 2/α² − 2 (Walter et al. 2007, "Microfacet Models for Refraction", p. 7), at most
+    /// [`super::LARGEST_EXPONENT`].
+    #[inline]
+    pub fn from_texels(diffuse: Vec3, specular: Vec3, roughness: Vec2) -> Self {
+        let alpha = roughness.clamp(Vec2::ZERO, Vec2::ONE);
+        let exponents = (2.0 / (alpha * alpha) - 2.0).min(Vec2::splat(LARGEST_EXPONENT));
+        Self { diffuse: diffuse.clamp(Vec3::ZERO, Vec3::ONE), specular: specular.clamp(Vec3::ZERO, Vec3::ONE), exponents }
     }
 
     /// √((n_u+1)(n_v+1)) / 2π · (n·h)^…: density of half vectors per steradian.

@@ -251,6 +251,30 @@ fn values_are_those_of_the_formulas() {
 }
 
 #[test]
+fn any_texels_make_a_surface_that_reflects_no_more_than_arrives() {
+    // Filtering leaves the range by roundings; a table of roughness may start at 0.
+    let ends = [-1e-6, 0.04, 0.5, 1.0 + 1e-6];
+    for [diffuse, specular, along, across] in (0..256).map(|k| [k / 64, k / 16 % 4, k / 4 % 4, k % 4].map(|i| ends[i])) {
+        let brdf = AshikhminShirley::from_texels(Vec3::splat(diffuse), Vec3::splat(specular), Vec2::new(along, across));
+        for theta in [0.0, 0.8, 1.4, 1.5705] {
+            let albedo = directional_albedo(&brdf, direction(theta, 0.7), 4096).max_element();
+            // The lattice, as in `no_white_surface_reflects_more_than_arrives`.
+            assert!((0.0..=1.002).contains(&albedo), "{brdf:?} at {theta}: {albedo}");
+        }
+    }
+}
+
+#[test]
+fn roughness_of_texels_is_that_of_facets_of_the_same_slope() {
+    let half = Vec3::splat(0.5);
+    let [fine, rough] = [Vec2::new(0.1, 0.2), Vec2::new(0.0, 1.0)].map(|alpha| AshikhminShirley::from_texels(half, half, alpha));
+    // 2/α² − 2; the smoothest is as smooth as any may be.
+    let expected = AshikhminShirley::new(half, half, Vec2::new(198.0, 48.0)).unwrap();
+    assert!((fine.exponents - expected.exponents).abs().max_element() < 1e-3, "{fine:?}");
+    assert_eq!(rough, AshikhminShirley::new(half, half, Vec2::new(LARGEST_EXPONENT, 0.0)).unwrap());
+}
+
+#[test]
 fn a_measured_table_reflects_what_was_measured() {
     let original = ward(0.3, 0.6, 0.2, 0.2);
     let table = measured(&original);

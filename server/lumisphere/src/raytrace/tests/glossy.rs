@@ -35,7 +35,7 @@ fn floor_under(environment: Environment, material: Material) -> Scene {
     scene
 }
 
-fn narrow_view(wo: Vec3) -> Camera {
+pub(super) fn narrow_view(wo: Vec3) -> Camera {
     camera(2.0 * wo, Vec3::ZERO, 1e-3, 16)
 }
 
@@ -62,12 +62,12 @@ fn every_model_keeps_its_albedo_under_a_white_sky() {
 }
 
 /// A sky that differs everywhere, with a bright corner.
-fn uneven_sky() -> Environment {
+pub(super) fn uneven_sky() -> Environment {
     sky_map(16, 0.4, |column, row| Vec3::splat(0.1 + 0.05 * column as f32 + if (column, row) == (3, 2) { 20.0 } else { 0.0 }))
 }
 
 /// ∫ f L cos over the upper half space: midpoint rule in longitude and height.
-fn integrated(brdf: &BrdfModel, wo: Vec3, radiance: impl Fn(Vec3) -> f32) -> f64 {
+pub(super) fn integrated(brdf: &BrdfModel, wo: Vec3, radiance: impl Fn(Vec3) -> f32) -> f64 {
     const ROWS: usize = 800;
     const COLUMNS: usize = 1600;
     let mut sum = 0.0;

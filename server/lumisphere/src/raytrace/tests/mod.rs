@@ -9,6 +9,7 @@ mod light_alone;
 mod packets;
 mod robustness;
 mod samplers;
+mod textured;
 
 use glam::{Vec2, Vec3};
 

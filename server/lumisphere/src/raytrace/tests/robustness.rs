@@ -122,6 +122,11 @@ fn what_cannot_be_traced_is_named() {
     assert_eq!(refused(|s| s.objects[0].material = 4), TraceError::UnknownMaterial { object: object() });
     let texture = |s: &mut Scene| s.materials[0] = Material::Diffuse { albedo: Albedo::Texture(0) };
     assert_eq!(refused(texture), TraceError::UnknownMaterial { object: object() });
+    let glossy = |s: &mut Scene| {
+        let map = Albedo::Constant(Vec3::splat(0.5));
+        s.materials[0] = Material::Glossy { diffuse: map, specular: map, roughness: Albedo::Texture(0) };
+    };
+    assert_eq!(refused(glossy), TraceError::UnknownMaterial { object: object() });
     assert_eq!(refused(|s| s.objects[0].mesh.positions[3].y = f32::NAN), TraceError::BadMesh { object: object() });
     assert_eq!(refused(|s| s.objects[0].mesh.triangles[1][2] = 999), TraceError::BadMesh { object: object() });
 }

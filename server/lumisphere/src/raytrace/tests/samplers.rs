@@ -5,7 +5,7 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg32;
 
 use super::*;
-use crate::radiometry::brdf::CookTorrance;
+use crate::radiometry::brdf::{AshikhminShirley, CookTorrance};
 use crate::raytrace::distribution::Discrete;
 use crate::raytrace::lights::Lights;
 use crate::raytrace::scattering::{Lobe, Scatterer};
@@ -60,7 +60,9 @@ fn reflected_directions_are_drawn_by_their_stated_density() {
         let side = Vec3::new(0.8, -0.6, 0.0);
         let wo = tilt.cos() * normal + tilt.sin() * side;
         let brdf = CookTorrance::new(Vec2::new(alpha, 0.5), Vec3::ONE, Vec3::ONE).unwrap().into();
-        for lobe in [Lobe::Glossy { brdf: &brdf, tangent: Vec3::X }, Lobe::Lambert(Vec3::splat(0.5))] {
+        let textured = AshikhminShirley::from_texels(Vec3::splat(0.5), Vec3::splat(0.3), Vec2::new(0.5, alpha.max(0.3)));
+        let glossy = Lobe::Glossy { brdf: &brdf, tangent: Vec3::X };
+        for lobe in [glossy, Lobe::Textured { brdf: textured, tangent: Vec3::X }, Lobe::Lambert(Vec3::splat(0.5))] {
             let scatterer = Scatterer { geometric_normal: normal, shading_normal: normal, wo, lobe };
             let sample = |u| scatterer.sample(u).map(|s| (s.wi, s.pdf.unwrap()));
             assert_density_on_sphere(&format!("{lobe:?} at {tilt} rad"), sample, |d| scatterer.eval(d).1);

@@ -5,6 +5,9 @@
 
 mod furnace;
 mod gazebo;
+mod glossy_plane;
+mod options;
+mod patchwork;
 mod patterns;
 mod six_colours;
 mod sky;
@@ -16,41 +19,16 @@ use super::files::SceneBundle;
 use super::scene::Scene;
 use super::scene_file::{LoadOptions, load};
 
+pub use options::{BuiltinOptions, PatchworkOptions, PlaneLamp, PlaneOptions};
+
 /// What there is.
-pub const BUILTIN_NAMES: [&str; 4] = ["gazebo", "furnace", "furnace_inside", "six_colours"];
+pub const BUILTIN_NAMES: [&str; 6] = ["gazebo", "furnace", "furnace_inside", "six_colours", "glossy_plane", "patchwork"];
 
 /// Path of the scene file in what [`builtin_files`] returns.
 pub const BUILTIN_SCENE_PATH: &str = "scene.json";
 
 /// Raised whenever a generator's output changes.
 const GENERATOR_VERSION: u32 = 1;
-
-/// Sizes and seed of a generated scene.
-#[derive(Debug, Clone, PartialEq)]
-pub struct BuiltinOptions {
-    /// Of all noise: textures, clouds, foliage.
-    pub seed: u32,
-    /// Edge of the cloth's texture; the others follow it. 16 to 8192.
-    pub texture_px: u32,
-    /// Width of the generated sky (twice its height). 16 to 8192.
-    pub sky_px: u32,
-    /// Steps along each edge of the teapot's patches; cups and spoon have half. 2 to 256.
-    pub patch_steps: u32,
-    /// Lights the scene in place of the generated sky: file name (with extension) and bytes, latitude–longitude EXR or .hdr.
-    pub environment: Option<(String, Vec<u8>)>,
-}
-
-impl BuiltinOptions {
-    /// As shown in the documentation: 2048² cloth, 1024 × 512 sky, 16 steps an edge.
-    pub fn full() -> Self {
-        Self { seed: 1, texture_px: 2048, sky_px: 1024, patch_steps: 16, environment: None }
-    }
-
-    /// The same scenes, coarse: for tests.
-    pub fn small() -> Self {
-        Self { seed: 1, texture_px: 256, sky_px: 256, patch_steps: 6, environment: None }
-    }
-}
 
 /// A generated scene, read by the ordinary loader.
 pub fn builtin(name: &str, options: &BuiltinOptions) -> Result<Scene, SceneError> {
@@ -66,16 +44,23 @@ pub fn builtin_files(name: &str, options: &BuiltinOptions) -> Result<SceneBundle
         "furnace" => furnace::ball(),
         "furnace_inside" => furnace::inside(),
         "six_colours" => six_colours::scene(),
+        "glossy_plane" => glossy_plane::scene(&options.plane),
+        "patchwork" => patchwork::scene(&options, &mut parts)?,
         _ => {
             return Err(SceneError::UnknownBuiltin { name: name.to_owned(), known: BUILTIN_NAMES.join(", ") });
         }
     };
     scene["format"] = super::FORMAT.into();
     scene["name"] = name.into();
-    scene["generator"] = serde_json::json!({
+    let mut generator = serde_json::json!({
         "name": format!("lumisphere {name}"), "version": GENERATOR_VERSION, "seed": options.seed,
         "texture_px": options.texture_px, "sky_px": options.sky_px, "patch_steps": options.patch_steps,
     });
+    // What a generator asks for besides, it writes there itself.
+    if let (Some(all), Value::Object(own)) = (generator.as_object_mut(), scene["generator"].take()) {
+        all.extend(own);
+    }
+    scene["generator"] = generator;
     if let Some((file, bytes)) = &options.environment {
         parts.add(file, bytes.clone())?;
         scene["environment"] = serde_json::json!({ "file": file });
@@ -99,23 +84,6 @@ impl Parts {
     fn add_picture(&mut self, path: &str, bytes: Result<Vec<u8>, crate::images::ImageError>) -> Result<(), SceneError> {
         let bytes = bytes.map_err(|e| SceneError::Image { file: path.to_owned(), message: e.to_string() })?;
         self.add(path, bytes)
-    }
-}
-
-impl BuiltinOptions {
-    /// The options, if every size is in its range.
-    pub fn checked(self) -> Result<Self, SceneError> {
-        let ranges =
-            [("texture_px", self.texture_px, 16, 8192), ("sky_px", self.sky_px, 16, 8192), ("patch_steps", self.patch_steps, 2, 256)];
-        match ranges.into_iter().find(|(_, value, low, high)| !(low..=high).contains(&value)) {
-            None => Ok(self),
-            Some((place, value, low, high)) => Err(SceneError::Value {
-                file: "options of the built-in scene".into(),
-                place: place.into(),
-                value: value.to_string(),
-                expected: format!("{low} to {high}"),
-            }),
-        }
     }
 }
 
@@ -147,6 +115,13 @@ mod tests {
         assert_ne!(a["grass.png"], b["grass.png"]);
         let json: Value = serde_json::from_slice(&b[BUILTIN_SCENE_PATH]).unwrap();
         assert_eq!(json["generator"]["seed"], 2);
+    }
+
+    #[test]
+    fn what_one_generator_alone_is_asked_for_is_written_down_too() {
+        let options = BuiltinOptions::small();
+        let json: Value = serde_json::from_slice(&builtin_files("patchwork", &options).unwrap().files[BUILTIN_SCENE_PATH]).unwrap();
+        assert_eq!((&json["generator"]["relief_steps"], &json["generator"]["texture_px"]), (&48.into(), &256.into()));
     }
 
     #[test]

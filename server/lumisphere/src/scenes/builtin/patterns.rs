@@ -10,7 +10,7 @@ use crate::images::Rgb8;
 
 // Paints a square picture; `colour` gets positions in [0, 1]², y down. `subsamples` along a texel's edge: patterns with sharp
 // outlines need some, noise as fine as the texels none.
-fn paint(size: u32, subsamples: usize, colour: impl Fn(Vec2) -> Vec3 + Sync) -> Rgb8 {
+pub(super) fn paint(size: u32, subsamples: usize, colour: impl Fn(Vec2) -> Vec3 + Sync) -> Rgb8 {
     let size = size as usize;
     let texel = |index: usize| {
         let corner = Vec2::new((index % size) as f32, (index / size) as f32);
@@ -33,8 +33,14 @@ pub(super) fn cloth(size: u32, checks: f32) -> Rgb8 {
 }
 
 // In [0, 1), also below zero; several times faster than the remainder.
-fn fract(v: f32) -> f32 {
+pub(super) fn fract(v: f32) -> f32 {
     v - v.floor()
+}
+
+/// 0 up to t = 0, 1 from t = 1 on, without a kink.
+pub(super) fn smooth_step(t: f32) -> f32 {
+    let t = t.clamp(0.0, 1.0);
+    t * t * (3.0 - 2.0 * t)
 }
 
 const WHITE: Vec3 = Vec3::new(0.96, 0.95, 0.91);
