@@ -12,6 +12,7 @@ mod context;
 mod exit;
 mod files;
 mod output;
+mod photographs;
 mod progress;
 mod render_settings;
 mod scene_source;

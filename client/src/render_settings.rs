@@ -3,15 +3,18 @@
 use clap::{Args, ValueEnum};
 use lumisphere_proto::v1alpha1 as wire;
 use wire::offset_surface_light_field_settings::{Blend as WireBlend, Component as WireComponent, Filter as WireFilter};
+use wire::parameter_map_settings::Show;
+use wire::render_settings::Representation;
 
 use crate::cameras::parse_vec3;
 
 /// What to compute.
 #[derive(Debug, Clone, Args)]
 pub struct SettingsFlags {
-    /// Which term of reconstruction + specular · mirror
-    #[arg(long, value_enum, default_value = "reconstruction")]
-    pub component: Component,
+    /// What to show: of an offset surface light field a term of reconstruction + specular · mirror, or glossy; of a parameter map its radiance,
+    /// or which models its texels have, or what their fits say [default: reconstruction, radiance]
+    #[arg(long, value_enum)]
+    pub component: Option<Component>,
     /// Weights of mirror and full: distance, angle, average, reflection:N, normal:N, environment-map or corrected
     #[arg(long, default_value = "normal:4")]
     pub blend: Blend,
@@ -59,6 +62,12 @@ pub enum Component {
     Full,
     /// With the BRDF of --brdf
     Glossy,
+    /// Of a parameter map: what its models say
+    Radiance,
+    /// Of a parameter map: which model each texel has, as a colour
+    Models,
+    /// Of a parameter map: unresolved red, clipped green, misfit blue, outliers brighter
+    Flags,
 }
 
 impl Component {
@@ -70,6 +79,7 @@ impl Component {
                 std::iter::once(Blend::Distance).chain(corrected).collect()
             }
             Self::Mirror | Self::Full | Self::Glossy => blends.to_vec(),
+            Self::Radiance | Self::Models | Self::Flags => vec![Blend::Distance],
         }
     }
 }
@@ -131,9 +141,10 @@ impl std::str::FromStr for Blend {
 }
 
 impl SettingsFlags {
-    /// The wire's form.
-    pub fn to_wire(&self) -> wire::RenderSettings {
-        settings(self.component, self.blend, self.specular, self.filter, self.backend, &self.gloss)
+    /// The wire's form, for a dataset of this kind.
+    pub fn to_wire(&self, kind: &str) -> wire::RenderSettings {
+        let default = if kind == "parameter_map" { Component::Radiance } else { Component::Reconstruction };
+        settings(self.component.unwrap_or(default), self.blend, self.specular, self.filter, self.backend, &self.gloss)
     }
 }
 
@@ -155,16 +166,24 @@ pub fn settings(
         Blend::EnvironmentMap => (WireBlend::EnvironmentMap, None),
         Blend::Corrected => (WireBlend::Corrected, None),
     };
+    let backend: i32 = match backend {
+        Backend::Auto => wire::Backend::Unspecified,
+        Backend::Gpu => wire::Backend::Gpu,
+        Backend::Cpu => wire::Backend::Cpu,
+    }
+    .into();
+    let of_map = |show: Show| {
+        let settings = wire::ParameterMapSettings { show: show.into() };
+        wire::RenderSettings { representation: Some(Representation::ParameterMap(settings)), backend }
+    };
     let component = match component {
         Component::Reconstruction => WireComponent::Reconstruction,
         Component::Mirror => WireComponent::Mirror,
         Component::Full => WireComponent::Full,
         Component::Glossy => WireComponent::Glossy,
-    };
-    let backend = match backend {
-        Backend::Auto => wire::Backend::Unspecified,
-        Backend::Gpu => wire::Backend::Gpu,
-        Backend::Cpu => wire::Backend::Cpu,
+        Component::Radiance => return of_map(Show::Radiance),
+        Component::Models => return of_map(Show::Models),
+        Component::Flags => return of_map(Show::Flags),
     };
     let filter = match filter {
         Filter::Footprint => WireFilter::Footprint,
@@ -179,10 +198,7 @@ pub fn settings(
         filter: filter.into(),
         gloss: gloss.brdf.clone().map(|brdf| wire::offset_surface_light_field_settings::Gloss { brdf, directions: gloss.directions }),
     };
-    wire::RenderSettings {
-        representation: Some(wire::render_settings::Representation::OffsetSurfaceLightField(settings)),
-        backend: backend.into(),
-    }
+    wire::RenderSettings { representation: Some(Representation::OffsetSurfaceLightField(settings)), backend }
 }
 
 /// How frames are returned.

@@ -70,6 +70,15 @@ async fn upload_bundle(context: &Context, client: &mut DatasetsClient<Channel>, 
     let (name, files) = pack(path)?;
     let total: usize = files.iter().map(|(_, bytes)| bytes.len()).sum();
     context.output.say(&format!("scene {}: {} files, {}", path.display(), files.len(), bytes_text(total as u64)));
+    Ok(wire::SceneBundle { scene_path: name, files: upload_files(context, client, files).await? })
+}
+
+/// Uploads files, and lists them as the wire does.
+pub async fn upload_files(
+    context: &Context,
+    client: &mut DatasetsClient<Channel>,
+    files: Vec<(String, Bytes)>,
+) -> anyhow::Result<Vec<wire::SceneFile>> {
     let mut listed = Vec::with_capacity(files.len());
     let mut meter = Meter::new(context.output);
     for (file, bytes) in files {
@@ -78,7 +87,7 @@ async fn upload_bundle(context: &Context, client: &mut DatasetsClient<Channel>, 
         listed.push(wire::SceneFile { path: file, blake3: blob.blake3 });
     }
     meter.finish();
-    Ok(wire::SceneBundle { scene_path: name, files: listed })
+    Ok(listed)
 }
 
 /// The scene's path within the bundle, and every file that loading it reads. A scene that cannot be loaded is refused here, before

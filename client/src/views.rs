@@ -338,6 +338,8 @@ impl From<wire::Job> for Job {
             Some(wire::job_spec::Spec::Evaluate(s)) => ("evaluate", s.dataset),
             Some(wire::job_spec::Spec::PathRender(s)) => ("path_render", s.dataset),
             Some(wire::job_spec::Spec::Thin(s)) => ("thin", s.dataset),
+            Some(wire::job_spec::Spec::Observe(s)) => ("observe", s.dataset),
+            Some(wire::job_spec::Spec::Fit(s)) => ("fit", s.dataset),
             None => ("unknown", String::new()),
         };
         Self {

@@ -14,6 +14,7 @@ mod load;
 mod main_flow;
 mod memory;
 mod paper_tables;
+mod parameter_map;
 mod prefetch;
 mod process;
 mod rules;

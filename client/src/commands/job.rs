@@ -3,6 +3,8 @@
 use std::path::PathBuf;
 
 use clap::{Args, Subcommand, ValueEnum};
+use lumisphere::directions::Scheme;
+use lumisphere::representations::parameter_map::AllowedModels;
 use lumisphere::textures::Codec;
 use lumisphere_proto::v1alpha1 as wire;
 use serde_json::{Value, json};
@@ -11,13 +13,15 @@ use wire::job_spec::Spec;
 use super::dataset::PAGE_SIZE;
 use super::download::{Wanted, download};
 use super::evaluate::EvaluateFlags;
+use super::render::version_of;
 use super::watch::{Events, watch};
-use crate::cameras::{CameraFlags, Views};
+use crate::cameras::{CameraFlags, Views, parse_vec3};
 use crate::choose_flags::ChooseFlags;
 use crate::context::{Context, Server};
 use crate::exit::Failure;
 use crate::files::{Existing, prepare_folder, safe_name};
 use crate::output::{bytes_text, table};
+use crate::photographs;
 use crate::progress::Meter;
 use crate::render_settings::{Backend, Blend, Component, Filter, GlossFlags, OutputFlags, SettingsFlags, settings};
 use crate::scene_source::{self, SceneFlags};
@@ -68,6 +72,12 @@ pub enum Submit {
     Evaluate(Box<EvaluateArguments>),
     /// Render a frame a camera; the frames are the job's results
     PathRender(Box<PathRenderArguments>),
+    /// See an object of a scene from many directions; publish what was seen, texel by texel, as an observation map
+    Observe(Box<ObserveArguments>),
+    /// Resample photographs of a flat surface; publish what they show, texel by texel, as an observation map
+    Import(ImportArguments),
+    /// Fit a model to every texel of an observation map, the smallest that explains it; publish them as a parameter map
+    Fit(FitArguments),
     /// Leave out of a dataset what an error bound can do without, and publish the rest as a dataset of its own
     Thin(Box<ThinArguments>),
 }
@@ -139,6 +149,15 @@ enum PixelFormat {
     F32,
 }
 
+impl PixelFormat {
+    fn to_wire(self) -> wire::PixelFormat {
+        match self {
+            Self::F16 => wire::PixelFormat::F16,
+            Self::F32 => wire::PixelFormat::F32,
+        }
+    }
+}
+
 /// Flags of `submit evaluate`.
 #[derive(Debug, Args)]
 pub struct EvaluateArguments {
@@ -207,6 +226,123 @@ pub struct ThinArguments {
     submit: SubmitFlags,
 }
 
+/// Flags of `submit observe`; what is not given is the server's default.
+#[derive(Debug, Args)]
+pub struct ObserveArguments {
+    #[command(flatten)]
+    scene: SceneFlags,
+    /// Which object of the scene
+    #[arg(long, value_name = "NAME")]
+    object: String,
+    /// Dataset to add a version to; created when there is none
+    #[arg(long, value_name = "NAME")]
+    dataset: String,
+    /// Texels along the edge of each of the surface's texture regions, 1 to 4096 [default: 256]
+    #[arg(long, value_name = "N")]
+    size_texels: Option<u32>,
+    /// Where cameras stand: icosahedron:N (17, 73, 289, 305 or 1249), spiral:N:TURNS, latitude-longitude:A,B,... or stratified:N:SEED
+    #[arg(long, value_name = "SCHEME", default_value = "icosahedron:73")]
+    directions: Scheme,
+    /// The scheme's zenith [default: the surface's mean normal, 0,1,0 where it faces all ways]
+    #[arg(long, value_name = "X,Y,Z", value_parser = parse_vec3, allow_hyphen_values = true)]
+    axis: Option<[f32; 3]>,
+    /// Also from the opposite directions
+    #[arg(long)]
+    both_hemispheres: bool,
+    /// Of cameras from the object's centre, in radii of its bounding sphere; above 1 [default: 10]
+    #[arg(long, value_name = "RADII", default_value_t = 0.0, hide_default_value = true)]
+    distance_radii: f32,
+    /// Paths per observation [default: 64]
+    #[arg(long, value_name = "N")]
+    samples_per_observation: Option<u32>,
+    /// Surface interactions of a path, 1 (direct light) to 64 [default: 8]
+    #[arg(long, value_name = "N")]
+    max_bounces: Option<u32>,
+    /// Of stored pages
+    #[arg(long, value_enum, default_value = "f32")]
+    pixel_format: PixelFormat,
+    /// Of stored pages
+    #[arg(long, value_name = "CODEC", default_value_t = Codec::DEFAULT)]
+    codec: Codec,
+    /// Of the random numbers
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    #[command(flatten)]
+    submit: SubmitFlags,
+}
+
+/// Flags of `submit import`; what is not given is the server's default.
+#[derive(Debug, Args)]
+pub struct ImportArguments {
+    /// Which photographs, and from where or under which light each was taken: a lumisphere-photographs/1 .json, RTI's .lp, nerfstudio's
+    /// transforms.json, or COLMAP's images.txt beside its cameras.txt. Photographs are found beside it
+    #[arg(long, value_name = "LIST")]
+    photographs: PathBuf,
+    /// Dataset to add a version to; created when there is none
+    #[arg(long, value_name = "NAME")]
+    dataset: String,
+    /// Of the surface, in the list's unit [default: as the list says, 1 for an .lp list]
+    #[arg(long, value_name = "LENGTH", default_value_t = 0.0, hide_default_value = true)]
+    width: f32,
+    /// Of the surface, in the list's unit [default: as the list says; for an .lp list as its photographs]
+    #[arg(long, value_name = "LENGTH", default_value_t = 0.0, hide_default_value = true)]
+    height: f32,
+    /// How PNG and JPEG hold radiance
+    #[arg(long, value_enum, default_value = "srgb")]
+    response: Response,
+    /// Texels along the surface's edge, 1 to 4096 [default: 256]
+    #[arg(long, value_name = "N")]
+    size_texels: Option<u32>,
+    /// Of stored pages
+    #[arg(long, value_enum, default_value = "f32")]
+    pixel_format: PixelFormat,
+    /// Of stored pages
+    #[arg(long, value_name = "CODEC", default_value_t = Codec::DEFAULT)]
+    codec: Codec,
+    #[command(flatten)]
+    submit: SubmitFlags,
+}
+
+/// From an 8-bit code to radiance.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Response {
+    /// As sRGB decodes
+    Srgb,
+    /// Proportional to the code
+    Linear,
+}
+
+/// Flags of `submit fit`.
+#[derive(Debug, Args)]
+pub struct FitArguments {
+    /// Dataset of kind observation_map
+    #[arg(long, value_name = "NAME")]
+    observations: String,
+    /// Which version of it [default: the latest]
+    #[arg(long, default_value_t = 0, hide_default_value = true)]
+    version: u64,
+    /// Dataset to add the parameter map to; created when there is none
+    #[arg(long, value_name = "NAME")]
+    dataset: String,
+    /// What a texel may have: auto, constant, phong:1 to phong:4, or sh:4, sh:9 ... sh:100
+    #[arg(long, value_name = "MODELS", default_value = "auto")]
+    model: AllowedModels,
+    /// Standard deviation of a dark observation, in units of radiance [default: a 1000th of the mean observation]
+    #[arg(long, value_name = "RADIANCE", default_value_t = 0.0, hide_default_value = true)]
+    noise_floor: f32,
+    /// Standard deviation of an observation beyond that, as a part of it, 0 to 1
+    #[arg(long, value_name = "PART", default_value_t = 0.01)]
+    relative_noise: f32,
+    /// Of stored numbers
+    #[arg(long, value_enum, default_value = "f16")]
+    pixel_format: PixelFormat,
+    /// Of stored pages
+    #[arg(long, value_name = "CODEC", default_value_t = Codec::ZstdChunk)]
+    codec: Codec,
+    #[command(flatten)]
+    submit: SubmitFlags,
+}
+
 /// What is bounded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum ThinMetric {
@@ -227,6 +363,9 @@ pub async fn run(command: Command, context: &Context) -> anyhow::Result<()> {
         }
         Command::Submit(Submit::PathRender(arguments)) => submit_path_render(context, &arguments).await,
         Command::Submit(Submit::Thin(arguments)) => submit_thin(context, &arguments).await,
+        Command::Submit(Submit::Observe(arguments)) => submit_observe(context, &arguments).await,
+        Command::Submit(Submit::Import(arguments)) => submit_import(context, &arguments).await,
+        Command::Submit(Submit::Fit(arguments)) => submit_fit(context, &arguments).await,
         Command::List => list(context).await,
         Command::Get { name } => {
             let mut client = context.connect().await?.jobs();
@@ -262,10 +401,6 @@ async fn submit_capture(context: &Context, arguments: &CaptureArguments) -> anyh
     let scene = scene_source::to_wire(context, &mut server.datasets(), &arguments.scene).await?;
     let spacing = arguments.spacing.map(wire::capture_spec::Density::Spacing);
     let points = arguments.points.map(wire::capture_spec::Density::SamplePoints);
-    let pixel_format = match arguments.pixel_format {
-        PixelFormat::F16 => wire::PixelFormat::F16,
-        PixelFormat::F32 => wire::PixelFormat::F32,
-    };
     if arguments.epsilon.is_some_and(|e| !(e > 0.0)) {
         return Err(Failure::Usage("--epsilon must be positive".into()).into());
     }
@@ -279,7 +414,7 @@ async fn submit_capture(context: &Context, arguments: &CaptureArguments) -> anyh
         samples_per_texel: given(arguments.samples_per_texel, "samples-per-texel")?,
         max_bounces: given(arguments.max_bounces, "max-bounces")?,
         sample_map_size_texels: given(arguments.sample_map_size_texels, "sample-map-size-texels")?,
-        pixel_format: pixel_format.into(),
+        pixel_format: arguments.pixel_format.to_wire().into(),
         codec: codec_message(arguments.codec).into(),
         seed: arguments.seed,
     };
@@ -318,6 +453,65 @@ async fn submit_thin(context: &Context, arguments: &ThinArguments) -> anyhow::Re
     submit_and_tell(context, &server, Spec::Thin(spec), &arguments.submit).await
 }
 
+async fn submit_observe(context: &Context, arguments: &ObserveArguments) -> anyhow::Result<()> {
+    let server = context.connect().await?;
+    let scene = scene_source::to_wire(context, &mut server.datasets(), &arguments.scene).await?;
+    let photographs = wire::VirtualPhotographs {
+        scene: Some(scene),
+        object: arguments.object.clone(),
+        directions: arguments.directions.to_string(),
+        axis: arguments.axis.map(|[x, y, z]| wire::Vector3 { x, y, z }),
+        both_hemispheres: arguments.both_hemispheres,
+        distance_radii: arguments.distance_radii,
+        samples_per_observation: given(arguments.samples_per_observation, "samples-per-observation")?,
+        max_bounces: given(arguments.max_bounces, "max-bounces")?,
+        seed: arguments.seed,
+    };
+    let spec = wire::ObserveSpec {
+        source: Some(wire::observe_spec::Source::VirtualPhotographs(photographs)),
+        dataset: arguments.dataset.clone(),
+        size_texels: given(arguments.size_texels, "size-texels")?,
+        pixel_format: arguments.pixel_format.to_wire().into(),
+        codec: codec_message(arguments.codec).into(),
+    };
+    submit_and_tell(context, &server, Spec::Observe(spec), &arguments.submit).await
+}
+
+async fn submit_import(context: &Context, arguments: &ImportArguments) -> anyhow::Result<()> {
+    let packed = photographs::pack(&arguments.photographs)?;
+    let server = context.connect().await?;
+    let files = scene_source::upload_files(context, &mut server.datasets(), packed.files).await?;
+    let response = match arguments.response {
+        Response::Srgb => wire::photograph_set::Response::Srgb,
+        Response::Linear => wire::photograph_set::Response::Linear,
+    };
+    let (list_path, width, height) = (packed.list_path, arguments.width, arguments.height);
+    let photographs = wire::PhotographSet { list_path, files, width, height, response: response.into() };
+    let spec = wire::ObserveSpec {
+        source: Some(wire::observe_spec::Source::Photographs(photographs)),
+        dataset: arguments.dataset.clone(),
+        size_texels: given(arguments.size_texels, "size-texels")?,
+        pixel_format: arguments.pixel_format.to_wire().into(),
+        codec: codec_message(arguments.codec).into(),
+    };
+    submit_and_tell(context, &server, Spec::Observe(spec), &arguments.submit).await
+}
+
+async fn submit_fit(context: &Context, arguments: &FitArguments) -> anyhow::Result<()> {
+    let server = context.connect().await?;
+    let spec = wire::FitSpec {
+        observations: arguments.observations.clone(),
+        version: arguments.version,
+        dataset: arguments.dataset.clone(),
+        models: arguments.model.to_string(),
+        noise_floor: arguments.noise_floor,
+        relative_noise: Some(arguments.relative_noise),
+        pixel_format: arguments.pixel_format.to_wire().into(),
+        codec: codec_message(arguments.codec).into(),
+    };
+    submit_and_tell(context, &server, Spec::Fit(spec), &arguments.submit).await
+}
+
 /// Zero is the wire's "as the server does by default"; somebody who says 0 means 0, which is never valid.
 fn given(value: Option<u32>, flag: &str) -> Result<u32, Failure> {
     match value {
@@ -332,11 +526,12 @@ async fn submit_path_render(context: &Context, arguments: &PathRenderArguments) 
         Views::Orbit(orbit) => wire::path_render_spec::Views::Orbit(orbit),
         Views::Cameras(cameras) => wire::path_render_spec::Views::Cameras(camera_list(cameras)),
     };
+    let (_, kind) = version_of(context, &server, &arguments.dataset, arguments.version).await?;
     let spec = wire::PathRenderSpec {
         dataset: arguments.dataset.clone(),
         version: arguments.version,
         views: Some(views),
-        settings: Some(arguments.settings.to_wire()),
+        settings: Some(arguments.settings.to_wire(&kind)),
         output: Some(arguments.output.to_wire()),
     };
     submit_and_tell(context, &server, Spec::PathRender(spec), &arguments.submit).await
@@ -403,6 +598,9 @@ fn job_text(job: &views::Job) -> String {
         if !result.dataset.is_empty() {
             text.push_str(&format!("\ndataset {} version {}", result.dataset, result.dataset_version));
         }
+        if let Some(fit) = result.summary.get("fit") {
+            text.push_str(&format!("\n{}", fit_text(fit)));
+        }
         if let Some(saved) = result.summary.get("thinning") {
             text.push_str(&format!("\n{}", thinned_text(saved, &result.summary)));
         }
@@ -411,6 +609,18 @@ fn job_text(job: &views::Job) -> String {
         }
     }
     text
+}
+
+/// Which models the texels have, and what fits flagged.
+fn fit_text(fit: &Value) -> String {
+    let counts = |of: &str| {
+        let entries = fit[of].as_object().into_iter().flatten().filter(|(_, n)| n.as_u64() != Some(0));
+        entries.map(|(name, n)| format!("{name} {n}")).collect::<Vec<_>>().join(", ")
+    };
+    let rate = fit["texels"].as_f64().unwrap_or(0.0) / fit["seconds"].as_f64().unwrap_or(f64::NAN);
+    let rms = fit["rms_residual"].as_f64().unwrap_or(f64::NAN);
+    let flagged = Some(counts("flags")).filter(|f| !f.is_empty()).map(|f| format!("; {f}")).unwrap_or_default();
+    format!("models: {}{flagged}; {rate:.0} texels/s, rms residual {rms:.5}", counts("histogram"))
 }
 
 /// What thinning left out, and what that did to the error.

@@ -90,7 +90,7 @@ pub async fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<()>
         return Err(Failure::Usage(problem).into());
     }
     let server = context.connect().await?;
-    let version = version_of(context, &server, &arguments.dataset, arguments.version).await?;
+    let (version, kind) = version_of(context, &server, &arguments.dataset, arguments.version).await?;
     if arguments.paper {
         return paper::run(context, &server, &arguments.dataset, &version, &arguments.orbit, arguments.times).await;
     }
@@ -104,7 +104,7 @@ pub async fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<()>
         dataset: arguments.dataset.clone(),
         version: version.version,
         camera: None,
-        settings: Some(arguments.settings.to_wire()),
+        settings: Some(arguments.settings.to_wire(&kind)),
         output: Some(arguments.output.to_wire()),
         pose_id: 0,
     };

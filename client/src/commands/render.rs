@@ -71,26 +71,28 @@ fn alone_or_chosen(argument: clap::Arg) -> clap::Arg {
 struct Target {
     dataset: String,
     version: u64,
-    settings: wire::RenderSettings,
+    // As the dataset's kind shows by default where flags do not say.
+    settings: Option<wire::RenderSettings>,
 }
 
 impl Target {
     fn of(arguments: &Arguments, context: &Context) -> anyhow::Result<Self> {
         let Some(chosen) = arguments.choose.chosen()? else {
             let (dataset, version) = (arguments.dataset.clone().unwrap_or_default(), arguments.version);
-            return Ok(Self { dataset, version, settings: arguments.settings.to_wire() });
+            return Ok(Self { dataset, version, settings: None });
         };
         context.output.say(&format!("chosen: {} of dataset {}", chosen.label, chosen.row.dataset));
-        let settings = chosen.settings()?;
+        let settings = Some(chosen.settings()?);
         Ok(Self { dataset: chosen.row.dataset, version: chosen.row.version, settings })
     }
 }
 
 /// Renders all cameras.
 pub async fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<()> {
-    let target = Target::of(arguments, context)?;
+    let mut target = Target::of(arguments, context)?;
     let server = context.connect().await?;
-    let version = version_of(context, &server, &target.dataset, target.version).await?;
+    let (version, kind) = version_of(context, &server, &target.dataset, target.version).await?;
+    target.settings.get_or_insert_with(|| arguments.settings.to_wire(&kind));
     let cameras = arguments.cameras.cameras(version.object_bounds.as_ref())?;
     let names = file_names(cameras.len(), &arguments.output);
     let existing = Existing::from_force(arguments.force);
@@ -119,14 +121,15 @@ pub async fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<()>
 }
 
 /// Pinned, so that a version published meanwhile does not change the path's second half.
-pub async fn version_of(context: &Context, server: &Server, name: &str, version: u64) -> anyhow::Result<wire::DatasetVersion> {
+pub async fn version_of(context: &Context, server: &Server, name: &str, version: u64) -> anyhow::Result<(wire::DatasetVersion, String)> {
     let dataset = server.datasets().get_dataset(context.request(wire::GetDatasetRequest { name: name.into() })).await?.into_inner();
     let wanted = if version == 0 { dataset.latest_version } else { version };
     if wanted == 0 {
         return Err(Failure::Precondition(format!("dataset {name} has no version yet")).into());
     }
     let found = dataset.versions.into_iter().find(|v| v.version == wanted);
-    found.ok_or_else(|| Failure::NotFound(format!("dataset {name} has no version {wanted}")).into())
+    let found = found.ok_or_else(|| Failure::NotFound(format!("dataset {name} has no version {wanted}")))?;
+    Ok((found, dataset.kind))
 }
 
 /// For each frame: colour, then depth and provenance where asked for.
@@ -144,7 +147,7 @@ enum FrameSource<'a> {
 
 impl<'a> FrameSource<'a> {
     async fn open(arguments: &Arguments, target: &Target, context: &'a Context, server: &Server, version: u64) -> anyhow::Result<Self> {
-        let (settings, output) = (Some(target.settings.clone()), Some(arguments.output.to_wire()));
+        let (settings, output) = (target.settings.clone(), Some(arguments.output.to_wire()));
         let dataset = target.dataset.clone();
         let mut client = server.rendering();
         if !arguments.stream {

@@ -364,4 +364,27 @@ mod tests {
         renderer.set_gpu_budget(1 << 28);
         assert_eq!(renderer.render(&field, &pages, &request, Some(Backend::Gpu)).unwrap().stats.backend, Backend::Gpu);
     }
+
+    #[test]
+    fn settings_of_another_kind_are_refused_by_name() {
+        use crate::representations::parameter_map;
+        let (field, field_pages) = WORLD.build();
+        let (map, map_pages) = parameter_map::tests::fixture::WORLD.build(|_| None);
+        let of_map = Settings::ParameterMap(parameter_map::Settings::default());
+        let of_field = Settings::OffsetSurfaceLightField(oslf::Settings {
+            component: oslf::Component::Mirror,
+            blend: oslf::Blend::Distance,
+            specular_reflectance: glam::Vec3::ONE,
+            filter: oslf::Filter::Footprint,
+        });
+        let camera = WORLD.camera(3.0 * glam::Vec3::Z, glam::Vec3::ZERO, 16, 12);
+        let outputs = Outputs { depth: false, provenance: false };
+        let refused = |dataset: Arc<dyn Representation>, pages: &dyn PageSource, settings: &Settings| {
+            let request = FrameRequest { camera: &camera, settings, outputs, refine: Refine::Whole };
+            Renderer::cpu_only().render(&dataset, pages, &request, Some(Backend::Cpu)).unwrap_err().to_string()
+        };
+        let expected = |kind: &str| format!("settings are of a {kind}, the dataset is of another kind");
+        assert_eq!(refused(Arc::new(field), &field_pages, &of_map), expected("parameter_map"));
+        assert_eq!(refused(Arc::new(map), &map_pages, &of_field), expected("offset_surface_light_field"));
+    }
 }

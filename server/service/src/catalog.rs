@@ -7,8 +7,10 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+use lumisphere::capture::PartsError;
+use lumisphere::capture::observation_map::{self, OBSERVATION_MAP, ObservationMap};
 use lumisphere::representations::offset_surface_light_field as oslf;
-use lumisphere::representations::{CachedPages, Kind, Representation};
+use lumisphere::representations::{CachedPages, Kind, Representation, parameter_map};
 use lumisphere::textures::{
     Cache, CacheOptions, CacheSnapshot, ContentHash, DatasetVersion, Manifest, OpenReport, Store, StoreError, StoreOptions, Trace,
 };
@@ -162,19 +164,29 @@ impl Catalog {
             let message = format!("dataset {dataset} version {} cannot be read: {reason}", manifest.version);
             ApiError::new(Reason::DataCorrupt, message)
         };
+        if manifest.kind == OBSERVATION_MAP {
+            let message = format!("dataset {dataset} holds {OBSERVATION_MAP:?}, which cannot be rendered: fit a parameter map to it");
+            return Err(ApiError::new(Reason::DatasetKindMismatch, message));
+        }
         let kind = Kind::from_name(&manifest.kind).ok_or_else(|| {
             let message = format!("dataset {dataset} is of the kind {:?}, which this server does not know", manifest.kind);
             ApiError::new(Reason::FormatTooNew, message)
         })?;
+        let other_version = |e: serde_json::Error| unreadable(format!("another version of this program made it ({e}); make it anew"));
+        let parameters = manifest.parameters.clone();
+        let part = |name: &'static str| stored.blob(name).map_err(PartError::Store);
+        let broken = |error: PartError| match error {
+            PartError::Store(error) => ApiError::from(error),
+            PartError::Malformed(error) => unreadable(error.to_string()),
+        };
         let representation: Arc<dyn Representation> = match kind {
             Kind::OffsetSurfaceLightField => {
-                let parameters = serde_json::from_value(manifest.parameters.clone());
-                let parameters =
-                    parameters.map_err(|e| unreadable(format!("another version of this program made it ({e}); capture it anew")))?;
-                Arc::new(oslf::from_parts(parameters, &|name| stored.blob(name).map_err(PartError::Store)).map_err(|e| match e {
-                    PartError::Store(error) => ApiError::from(error),
-                    PartError::Malformed(error) => unreadable(error.to_string()),
-                })?)
+                let parameters = serde_json::from_value(parameters).map_err(other_version)?;
+                Arc::new(oslf::from_parts(parameters, &part).map_err(broken)?)
+            }
+            Kind::ParameterMap => {
+                let parameters = serde_json::from_value(parameters).map_err(other_version)?;
+                Arc::new(parameter_map::from_parts(parameters, &part).map_err(broken)?)
             }
         };
         let (pages, needed) = (manifest.pages.count as usize, representation.page_count());
@@ -188,6 +200,33 @@ impl Catalog {
             origin: origin_of(&stored),
             pages: CachedPages { cache: self.cache.clone(), version: stored },
         })
+    }
+
+    /// An observation map without its pages, and those.
+    pub fn open_observations(&self, dataset: &str, version: u64) -> Result<(ObservationMap, Arc<DatasetVersion>), ApiError> {
+        self.not_empty(dataset, version)?;
+        let stored = self.store.open_version(dataset, numbered(version))?;
+        let manifest = stored.manifest();
+        if manifest.kind != OBSERVATION_MAP {
+            let message = format!("dataset {dataset} holds {:?}, {OBSERVATION_MAP:?} expected", manifest.kind);
+            return Err(ApiError::new(Reason::DatasetKindMismatch, message));
+        }
+        let unreadable = |reason: String| {
+            let message = format!("dataset {dataset} version {} cannot be read: {reason}", manifest.version);
+            ApiError::new(Reason::DataCorrupt, message)
+        };
+        let parameters = serde_json::from_value(manifest.parameters.clone());
+        let parameters = parameters.map_err(|e| unreadable(format!("another version of this program made it ({e}); make it anew")))?;
+        let part = |name: &'static str| stored.blob(name).map_err(PartError::Store);
+        let map = observation_map::from_parts(parameters, &part).map_err(|error| match error {
+            PartError::Store(error) => ApiError::from(error),
+            PartError::Malformed(error) => unreadable(error.to_string()),
+        })?;
+        let (pages, needed) = (manifest.pages.count as usize, map.page_count());
+        match pages == needed {
+            true => Ok((map, stored)),
+            false => Err(unreadable(format!("{pages} pages, {needed} expected"))),
+        }
     }
 
     /// `version` 0 of a dataset without versions is another mistake than a version that does not exist.
@@ -324,11 +363,11 @@ impl Content {
 /// Why a part cannot be had: the store, or what is in it.
 enum PartError {
     Store(StoreError),
-    Malformed(oslf::PartsError),
+    Malformed(PartsError),
 }
 
-impl From<oslf::PartsError> for PartError {
-    fn from(error: oslf::PartsError) -> Self {
+impl From<PartsError> for PartError {
+    fn from(error: PartsError) -> Self {
         Self::Malformed(error)
     }
 }

@@ -5,11 +5,13 @@
 use std::collections::{BTreeMap, HashMap};
 use std::fmt;
 
+use lumisphere::capture::observation_map::{ImportError, ObserveError};
 use lumisphere::evaluate::{EvaluateError, ThinError};
 use lumisphere::progress::Cancelled;
 use lumisphere::raytrace::TraceError;
 use lumisphere::render::RenderError;
 use lumisphere::representations::offset_surface_light_field::{ConstructError, ThinningError};
+use lumisphere::representations::parameter_map::FitError;
 use lumisphere::scenes::SceneError;
 use lumisphere::textures::StoreError;
 use tonic::{Code, Status};
@@ -155,6 +157,7 @@ impl From<RenderError> for ApiError {
         match error {
             RenderError::Store(error) => error.into(),
             RenderError::PageShape { .. } => Self::new(Reason::DataCorrupt, error.to_string()),
+            RenderError::OtherKind { .. } => Self::new(Reason::DatasetKindMismatch, error.to_string()),
             RenderError::NoGpu => Self::field("settings.backend", error),
             RenderError::TooManyDirections { .. } => Self::field("settings.offset_surface_light_field.gloss.directions", error),
             RenderError::DependsOnPages => Self::field("settings.offset_surface_light_field.blend", error),
@@ -192,6 +195,47 @@ impl From<ConstructError> for ApiError {
             ConstructError::Cancelled(error) => error.into(),
             ConstructError::Store(error) => error.into(),
             ConstructError::Parts(error) => Self::internal(error),
+        }
+    }
+}
+
+impl From<ObserveError> for ApiError {
+    fn from(error: ObserveError) -> Self {
+        match error {
+            ObserveError::UnknownObject { .. } | ObserveError::NoTexels { .. } => {
+                Self::field("spec.observe.virtual_photographs.object", error)
+            }
+            ObserveError::Setting { setting, .. } => Self::field(format!("spec.observe.virtual_photographs.{setting}"), error),
+            ObserveError::Trace(error) => error.into(),
+            ObserveError::Cancelled(error) => error.into(),
+            ObserveError::Store(error) => error.into(),
+            ObserveError::Parts(error) => Self::internal(error),
+        }
+    }
+}
+
+impl From<ImportError> for ApiError {
+    fn from(error: ImportError) -> Self {
+        match error {
+            ImportError::Setting { setting, .. } => Self::field(format!("spec.observe.photographs.{setting}"), error),
+            ImportError::Size { .. } | ImportError::Photograph { .. } | ImportError::Behind { .. } => {
+                Self::field("spec.observe.photographs.files", error)
+            }
+            ImportError::Cancelled(error) => error.into(),
+            ImportError::Store(error) => error.into(),
+            ImportError::Parts(error) => Self::internal(error),
+        }
+    }
+}
+
+impl From<FitError> for ApiError {
+    fn from(error: FitError) -> Self {
+        match error {
+            FitError::PageShape { .. } => Self::new(Reason::DataCorrupt, error.to_string()),
+            FitError::TooLarge { .. } => Self::field("spec.fit.models", error),
+            FitError::Cancelled(error) => error.into(),
+            FitError::Store(error) => error.into(),
+            FitError::Parts(error) => Self::internal(error),
         }
     }
 }

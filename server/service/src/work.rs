@@ -1,7 +1,9 @@
-//! What jobs do: capture, evaluate, render a path, thin.
+//! What jobs do: capture, observe, fit, evaluate, render a path, thin.
 
 mod capture;
 mod evaluate;
+mod fit;
+mod observe;
 mod path_render;
 mod publishing;
 mod scene;
@@ -44,6 +46,8 @@ impl JobBody for Work {
             JobSpec::Evaluate(spec) => self.evaluate(&spec, attempt),
             JobSpec::PathRender(spec) => self.path_render(&spec, attempt),
             JobSpec::Thin(spec) => self.thin(&spec, attempt),
+            JobSpec::Observe(spec) => self.observe(&spec, attempt),
+            JobSpec::Fit(spec) => self.fit(&spec, attempt),
         }
     }
 

@@ -94,13 +94,13 @@ pub async fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<()>
 
 async fn frames(arguments: &Arguments, context: &Context, server: &Server) -> anyhow::Result<Vec<u8>> {
     let dataset = arguments.dataset.clone().expect("clap requires it where there are no seconds");
-    let version = version_of(context, server, &dataset, arguments.version).await?;
+    let (version, kind) = version_of(context, server, &dataset, arguments.version).await?;
     let cameras = cameras(arguments, version.object_bounds.as_ref())?;
     let request = wire::RecordTraceRequest {
         dataset,
         version: version.version,
         cameras,
-        settings: Some(arguments.settings.to_wire()),
+        settings: Some(arguments.settings.to_wire(&kind)),
         order: arguments.order.to_wire().into(),
         lobe_samples: arguments.lobe_samples,
         lobe_exponent: arguments.lobe_exponent,

@@ -37,7 +37,7 @@ pub struct Dataset {
 pub async fn datasets(context: &Context, server: &Server, file: &SweepFile) -> anyhow::Result<Vec<Dataset>> {
     let mut named = Vec::new();
     for name in &file.datasets {
-        named.push((name.clone(), version_of(context, server, name, 0).await?));
+        named.push((name.clone(), version_of(context, server, name, 0).await?.0));
     }
     let mut found = Vec::new();
     let variants = file.variants();

@@ -12,12 +12,12 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use glam::Vec3;
+use lumisphere::capture::PartsError;
 use lumisphere::geometry::{Camera, Intrinsics, Pose};
 use lumisphere::progress::Unattended;
 use lumisphere::render::{Backend, Frame, FrameRequest, Outputs, Refine, Renderer, Representation, Settings, UploadUnit};
 use lumisphere::representations::offset_surface_light_field::{
-    Blend, Component, ConstructSettings, Filter, OffsetSurfaceLightField, PartsError, Settings as OslfSettings, Spacing, construct,
-    from_parts,
+    Blend, Component, ConstructSettings, Filter, OffsetSurfaceLightField, Settings as OslfSettings, Spacing, construct, from_parts,
 };
 use lumisphere::representations::{CachedPages, Fetched, PageSource, TexelReader};
 use lumisphere::scenes::{BuiltinOptions, builtin};

@@ -10,6 +10,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::geometry::{TriangleMesh, subdivide};
+use crate::images::Image;
 use crate::progress::{Cancelled, Progress};
 use crate::raytrace::{TraceSettings, Tracer};
 use crate::scenes::{Albedo, Environment, Material, Scene, Texture};
@@ -63,8 +64,8 @@ pub fn bake_background(
     for (_, other) in scene.objects.iter().enumerate().filter(|(i, _)| *i != object) {
         let mesh = subdivide(&other.mesh, &max_edge, MAX_TRIANGLES);
         let albedo = match &scene.materials[other.material] {
-            Material::Diffuse { albedo } => Some(albedo.clone()),
-            Material::Mirror { .. } | Material::Ggx { .. } | Material::Brdf(_) => None,
+            Material::Diffuse { albedo } => Some(*albedo),
+            Material::Mirror { .. } | Material::Ggx { .. } | Material::Glossy { .. } | Material::Brdf(_) => None,
         };
         surfaces.push(BackgroundSurface { mesh, irradiance: Vec::new(), albedo, emission: other.emission.unwrap_or(Vec3::ZERO) });
     }
@@ -91,6 +92,44 @@ pub fn bake_background(
         surface.irradiance = irradiance;
     }
     Ok(Background { surfaces, textures: scene.textures.clone(), environment: scene.environment.clone() })
+}
+
+impl Background {
+    /// What does not agree, if anything: for backgrounds that come from a file.
+    pub fn check(&self) -> Result<(), String> {
+        let check_image = |what: &str, image: &Image| {
+            let pixels = image.width.checked_mul(image.height).unwrap_or(0);
+            let sound =
+                pixels > 0 && image.planes.len() == 3 && image.planes.iter().all(|p| p.len() == pixels && p.iter().all(|v| v.is_finite()));
+            if sound { Ok(()) } else { Err(format!("{what} is not a finite three-channel image of its stated size")) }
+        };
+        for (i, texture) in self.textures.iter().enumerate() {
+            check_image(&format!("texture {i}"), &texture.image)?;
+        }
+        match &self.environment {
+            Environment::Constant(radiance) if !radiance.is_finite() => return Err("environment is not finite".into()),
+            Environment::Map(map) => check_image("environment", &map.image)?,
+            Environment::Constant(_) => {}
+        }
+        for (i, surface) in self.surfaces.iter().enumerate() {
+            if surface.irradiance.len() != surface.mesh.positions.len() {
+                return Err(format!(
+                    "surface {i} has {} irradiances for {} vertices",
+                    surface.irradiance.len(),
+                    surface.mesh.positions.len()
+                ));
+            }
+            if !(surface.emission.is_finite() && surface.irradiance.iter().flatten().all(|e| e.is_finite())) {
+                return Err(format!("surface {i} has light that is not finite"));
+            }
+            if let Some(Albedo::Texture(t)) = surface.albedo
+                && t >= self.textures.len()
+            {
+                return Err(format!("surface {i} names texture {t}, below {} expected", self.textures.len()));
+            }
+        }
+        Ok(())
+    }
 }
 
 impl BackgroundSurface {

@@ -7,6 +7,7 @@ use glam::Vec3;
 use serde_json::{Value, json};
 
 use super::*;
+use crate::capture::PartsError;
 use crate::directions::FACES;
 use crate::progress::Unattended;
 use crate::render::Renderer;
@@ -15,7 +16,7 @@ use crate::representations::{FrameRequest, Outputs, Refine, RenderError, Represe
 use crate::scenes::{LoadOptions, SceneBundle, load};
 use crate::textures::{Codec, Page, PageId, PixelFormat, Publication, Store, StoreOptions};
 use oslf::tests::fixture::MemoryPages;
-use oslf::{Blend, Component, ConstructSettings, Filter, OffsetSurfaceLightField, PartsError, Spacing, construct, from_parts};
+use oslf::{Blend, Component, ConstructSettings, Filter, OffsetSurfaceLightField, Spacing, construct, from_parts};
 
 // A white ball amid six walls that shine, each in a colour of its own and with a dark panel off its middle, so that no face of a cube map
 // looks like another, or turned like itself. Only the ball reflects, and it does not see itself: one bounce is all.

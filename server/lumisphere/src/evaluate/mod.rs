@@ -22,7 +22,7 @@ use crate::progress::{Cancelled, Progress};
 use crate::radiometry::brdf::BrdfModel;
 use crate::raytrace::{TraceError, TraceSettings};
 use crate::render::Backend;
-use crate::representations::Settings;
+use crate::representations::{Kind, Settings};
 use crate::scenes::Scene;
 use row::Total;
 
@@ -164,6 +164,9 @@ const MOST_BRDFS: usize = 8;
 
 // What a setting is compared with: what is no mirror has one truth only.
 fn truths_of(settings: &Settings, plan: &Plan) -> Vec<Truth> {
+    if settings.kind() == Kind::ParameterMap {
+        return vec![Truth::AsAuthored];
+    }
     match (settings.brdf(), settings.reflection()) {
         (Some(_), _) => vec![Truth::OneGlossyReflection],
         (None, None) => vec![Truth::Diffuse],

@@ -1,4 +1,4 @@
-//! Path-traced images to compare with: of three kinds, and of any BRDF.
+//! Path-traced images to compare with: of four kinds, and of any BRDF.
 
 use std::collections::BTreeMap;
 
@@ -19,6 +19,8 @@ use crate::scenes::Scene;
 pub enum Truth {
     /// The object as a diffuse surface.
     Diffuse,
+    /// The object with its own material.
+    AsAuthored,
     /// One mirror reflection on the object over the diffuse scene: what an offset surface light field should converge to.
     OneReflection,
     /// The object as a mirror that sees itself as a mirror.
@@ -32,6 +34,7 @@ impl Truth {
     pub fn name(self) -> &'static str {
         match self {
             Self::Diffuse => "diffuse",
+            Self::AsAuthored => "as_authored",
             Self::OneReflection => "one_reflection",
             Self::PhysicalMirror => "physical_mirror",
             Self::OneGlossyReflection => "one_glossy_reflection",
@@ -42,6 +45,7 @@ impl Truth {
     fn appearance(self) -> Option<Appearance> {
         match self {
             Self::Diffuse => Some(Appearance::Diffuse),
+            Self::AsAuthored => Some(Appearance::AsAuthored),
             Self::OneReflection => Some(Appearance::OneMirror { reflectance: Vec3::ONE }),
             Self::PhysicalMirror => Some(Appearance::PhysicalMirror { reflectance: Vec3::ONE }),
             Self::OneGlossyReflection => None,
@@ -144,6 +148,9 @@ impl ViewTruth {
     pub fn reference(&self, settings: &Settings, truth: Truth) -> Image {
         if let Some(glossy) = settings.brdf().and_then(|brdf| self.glossy(&brdf.into())) {
             return glossy.clone();
+        }
+        if truth == Truth::AsAuthored {
+            return self.images[&truth].clone();
         }
         let mut image = self.images[&Truth::Diffuse].clone();
         let Some((reflectance, keep_diffuse)) = settings.reflection() else { return image };

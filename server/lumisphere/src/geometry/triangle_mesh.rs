@@ -94,7 +94,10 @@ impl TriangleMesh {
             let face_normal = mesh.area_vector(t).normalize_or(Vec3::Y);
             for i in mesh.triangles[t] {
                 let n = &mut mesh.normals[i as usize];
-                *n = n.try_normalize().unwrap_or(face_normal);
+                // One that is unit but for rounding stays: a mesh that is stored and loaded is the same.
+                if !((n.length_squared() - 1.0).abs() <= 4.0 * f32::EPSILON) {
+                    *n = n.try_normalize().unwrap_or(face_normal);
+                }
             }
         }
         Ok(mesh)

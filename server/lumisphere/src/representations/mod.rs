@@ -3,9 +3,12 @@
 //! Adding one: a value in `Kind` and in the proto, a folder, an arm in `open` and in the service's `wire.rs`.
 
 mod buckets;
+#[cfg(feature = "gpu")]
+mod frame_output;
 mod g_buffer;
 pub mod offset_surface_light_field;
 mod page_source;
+pub mod parameter_map;
 mod provenance;
 mod requests;
 
@@ -24,6 +27,8 @@ use crate::textures::{Page, PolicyKind};
 use crate::textures::{PageId, StoreError};
 use offset_surface_light_field as oslf;
 
+#[cfg(test)]
+pub(crate) use page_source::MemoryPages;
 pub use page_source::{CachedPages, CountingReader, CountingSource, Fetched, PageSource, PageUse, TexelReader, WholePages};
 pub use provenance::{Answer, Provenance};
 pub use requests::{Lobe, PixelOrder, Recording, RequestTrace, TexelRequest};
@@ -33,6 +38,8 @@ pub use requests::{Lobe, PixelOrder, Recording, RequestTrace, TexelRequest};
 pub enum Kind {
     /// Cube maps at sample points just above a surface.
     OffsetSurfaceLightField,
+    /// A small function of the view direction at every texel of a surface.
+    ParameterMap,
 }
 
 impl Kind {
@@ -40,12 +47,13 @@ impl Kind {
     pub fn name(self) -> &'static str {
         match self {
             Self::OffsetSurfaceLightField => "offset_surface_light_field",
+            Self::ParameterMap => "parameter_map",
         }
     }
 
     /// The kind of that name.
     pub fn from_name(name: &str) -> Option<Self> {
-        [Self::OffsetSurfaceLightField].into_iter().find(|k| k.name() == name)
+        [Self::OffsetSurfaceLightField, Self::ParameterMap].into_iter().find(|k| k.name() == name)
     }
 }
 
@@ -54,12 +62,14 @@ impl Kind {
 pub enum Settings {
     /// Component, blend and specular reflectance.
     OffsetSurfaceLightField(oslf::Settings),
+    /// What to show.
+    ParameterMap(parameter_map::Settings),
 }
 
 /// A setting in reports.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct SettingName {
-    /// `reconstruction`, `mirror`, `full`.
+    /// `reconstruction`, `mirror`, `full`, `glossy`; of a parameter map `radiance`, `models`, `flags`.
     pub component: &'static str,
     /// `distance`, `angle`, `average`, `reflection`, `normal`, `environment_map`, `corrected`; of a reconstruction only the last.
     pub blend: Option<&'static str>,
@@ -79,6 +89,14 @@ impl SettingName {
 }
 
 impl Settings {
+    /// Whose settings they are.
+    pub fn kind(&self) -> Kind {
+        match self {
+            Self::OffsetSurfaceLightField(_) => Kind::OffsetSurfaceLightField,
+            Self::ParameterMap(_) => Kind::ParameterMap,
+        }
+    }
+
     /// By the names that the command line uses.
     pub fn name(&self) -> SettingName {
         match self {
@@ -88,6 +106,7 @@ impl Settings {
                 let exponent = blend.and_then(oslf::Blend::exponent);
                 SettingName { component: s.component.name(), blend: blend.map(oslf::Blend::name), exponent, filter: s.filter.name() }
             }
+            Self::ParameterMap(s) => SettingName { component: s.show.name(), blend: None, exponent: None, filter: "bilinear" },
         }
     }
 
@@ -98,6 +117,7 @@ impl Settings {
                 oslf::Component::Glossy(gloss) => Some(gloss.brdf),
                 oslf::Component::Reconstruction | oslf::Component::Mirror | oslf::Component::Full => None,
             },
+            Self::ParameterMap(_) => None,
         }
     }
 
@@ -111,7 +131,7 @@ impl Settings {
             {
                 Err(RenderError::TooManyDirections { pixels, directions: gloss.directions, most })
             }
-            Self::OffsetSurfaceLightField(_) => Ok(()),
+            Self::OffsetSurfaceLightField(_) | Self::ParameterMap(_) => Ok(()),
         }
     }
 
@@ -124,6 +144,7 @@ impl Settings {
                 oslf::Component::Full => Some((s.specular_reflectance, true)),
                 oslf::Component::Glossy(_) => None,
             },
+            Self::ParameterMap(_) => None,
         }
     }
 }
@@ -135,6 +156,9 @@ pub trait Representation: std::fmt::Debug + Send + Sync {
 
     /// Itself, for work that only one kind knows.
     fn as_any(&self) -> &dyn Any;
+
+    /// What of which scene it shows.
+    fn captured(&self) -> Captured<'_>;
 
     /// How many pages its dataset has.
     fn page_count(&self) -> usize;
@@ -151,6 +175,15 @@ pub trait Representation: std::fmt::Debug + Send + Sync {
     /// Its twin, with everything but the pages uploaded, taking at most `budget_bytes` of the device's memory at any time.
     #[cfg(feature = "gpu")]
     fn gpu_kernel(self: Arc<Self>, gpu: &Arc<Gpu>, budget_bytes: u64) -> Result<Box<dyn GpuKernel>, GpuError>;
+}
+
+/// What of a scene was captured.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Captured<'a> {
+    /// The object's name.
+    pub object: &'a str,
+    /// Of the capture's paths; 0 for photographs.
+    pub max_bounces: u32,
 }
 
 /// Renders frames of one dataset on the CPU.
@@ -308,6 +341,12 @@ pub enum RenderError {
         "which texels depth-corrected reads ask for depends on what is stored; to record a frame another blend than corrected is expected"
     )]
     DependsOnPages,
+    /// Settings of another kind than the dataset's.
+    #[error("settings are of a {}, the dataset is of another kind", settings.name())]
+    OtherKind {
+        /// Of the settings.
+        settings: Kind,
+    },
     /// The GPU was asked for where there is none.
     #[error("no GPU is in use")]
     NoGpu,
@@ -316,5 +355,5 @@ pub enum RenderError {
 /// Every whole WGSL source of this room, for the test that validates them.
 #[cfg(all(test, feature = "gpu"))]
 pub(crate) fn wgsl_sources() -> &'static [&'static str] {
-    &[g_buffer::VISIBILITY_SOURCE, g_buffer::G_BUFFER_SOURCE, g_buffer::RESOLVE_SOURCE, oslf::KERNEL_SOURCE]
+    &[g_buffer::VISIBILITY_SOURCE, g_buffer::G_BUFFER_SOURCE, g_buffer::RESOLVE_SOURCE, oslf::KERNEL_SOURCE, parameter_map::KERNEL_SOURCE]
 }

@@ -196,3 +196,20 @@ impl Drop for CountingReader<'_> {
         self.counts.bytes_read.fetch_add(bytes_read, Ordering::Relaxed);
     }
 }
+
+/// All of a dataset's pages in memory.
+#[cfg(test)]
+#[derive(Debug)]
+pub(crate) struct MemoryPages(pub Vec<Arc<Page>>);
+
+#[cfg(test)]
+impl PageSource for MemoryPages {
+    fn page(&self, page: PageId) -> Result<Fetched, StoreError> {
+        let found = self.0.get(page.0 as usize).ok_or_else(|| StoreError::NotFound { what: format!("page {page}") })?;
+        Ok(Fetched { page: found.clone(), was_resident: true, bytes_read: 0 })
+    }
+
+    fn reader(&self) -> Box<dyn TexelReader + '_> {
+        Box::new(WholePages::new(self))
+    }
+}

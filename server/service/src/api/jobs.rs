@@ -1,5 +1,7 @@
 //! Long work.
 
+use lumisphere::capture::observation_map::OBSERVATION_MAP;
+use lumisphere::textures::ContentHash;
 use tokio::sync::{mpsc, watch};
 use tokio_stream::wrappers::ReceiverStream;
 use tokio_util::sync::CancellationToken;
@@ -66,21 +68,34 @@ fn submit(app: &App, message: Option<proto::JobSpec>, id: String) -> Result<JobV
     if let Some((dataset, wanted)) = spec.reads() {
         let manifest = app.catalog.manifest(dataset, wanted)?;
         spec.settings().iter().try_for_each(|s| check_kind(&s.settings, &manifest.kind))?;
+        if matches!(spec, JobSpec::Fit(_)) && manifest.kind != OBSERVATION_MAP {
+            let message = format!("dataset {dataset} holds {:?}, {OBSERVATION_MAP:?} expected", manifest.kind);
+            return Err(ApiError::new(Reason::DatasetKindMismatch, message));
+        }
         version = Some(manifest.version);
     }
     let writes = match &spec {
         JobSpec::Capture(capture) => {
-            let missing = capture.scene.blobs().find(|hash| !app.catalog.store().has_blob(hash));
-            if let Some(hash) = missing {
-                return Err(ApiError::new(Reason::BlobNotFound, format!("blob {hash} of the scene is not here: upload it first")));
-            }
+            check_blobs(app, capture.scene.blobs(), "the scene")?;
             Some(capture.dataset.clone())
         }
+        JobSpec::Observe(observe) => {
+            check_blobs(app, observe.source.blobs(), "what is observed")?;
+            Some(observe.dataset.clone())
+        }
+        JobSpec::Fit(fit) => Some(fit.dataset.clone()),
         JobSpec::Thin(thin) => Some(thin.into.clone()),
         JobSpec::Evaluate(_) | JobSpec::PathRender(_) => None,
     };
     let asked = digest(&message);
     app.jobs.submit(Submission { kind: spec.kind(), writes, request_id, asked, spec: remembered(message, version) })
+}
+
+fn check_blobs(app: &App, blobs: impl IntoIterator<Item = ContentHash>, of: &str) -> Result<(), ApiError> {
+    match blobs.into_iter().find(|hash| !app.catalog.store().has_blob(hash)) {
+        Some(hash) => Err(ApiError::new(Reason::BlobNotFound, format!("blob {hash} of {of} is not here: upload it first"))),
+        None => Ok(()),
+    }
 }
 
 /// The job now if it is newer than asked, then every change until it ends.

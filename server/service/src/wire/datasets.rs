@@ -33,10 +33,10 @@ pub struct Origin(proto::DatasetVersion);
 
 impl Origin {
     /// To be kept in the blob [`ORIGIN`].
-    pub fn new(scene: proto::SceneSource, bounds: (glam::Vec3, glam::Vec3)) -> Self {
+    pub fn new(scene: Option<proto::SceneSource>, bounds: (glam::Vec3, glam::Vec3)) -> Self {
         let (min, max) = (Some(super::camera::vector(bounds.0)), Some(super::camera::vector(bounds.1)));
         let object_bounds = Some(proto::Box3 { min, max });
-        Self(proto::DatasetVersion { scene_source: Some(scene), object_bounds, ..Default::default() })
+        Self(proto::DatasetVersion { scene_source: scene, object_bounds, ..Default::default() })
     }
 
     /// The blob's bytes.

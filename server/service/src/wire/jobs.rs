@@ -1,18 +1,26 @@
 //! Job specifications in, jobs out.
 
+use lumisphere::capture::observation_map::{Coverage, MOST_TEXELS_PER_EDGE, ObserveSettings, Response};
+use lumisphere::directions::{Scheme, SchemeError};
 use lumisphere::evaluate::ThinMetric;
 use lumisphere::geometry::Camera;
 use lumisphere::representations::offset_surface_light_field::Spacing;
+use lumisphere::representations::parameter_map;
 use lumisphere::textures::{Codec, ContentHash, PixelFormat};
 use prost::Message;
 
-use super::scenes::{SceneSource, scene_source};
+use super::camera::vec3;
+use super::scenes::{SceneSource, scene_source, uploaded_files};
 use super::settings::{Output, RenderSettings, output, render_settings};
 use super::{camera, count, dataset_name, positive, proto, required, timestamp, within};
 use crate::errors::ApiError;
 use crate::jobs::{JobView, Outcome, State};
 
 const MAX_SETTINGS: usize = 64;
+/// Default of `VirtualPhotographs.directions`.
+const DEFAULT_DIRECTIONS: &str = "icosahedron:73";
+/// Default of `FitSpec.relative_noise`.
+const DEFAULT_RELATIVE_NOISE: f32 = 0.01;
 /// Jobs are remembered, so their specifications are held smaller than a request may be.
 const MAX_SPEC_BYTES: usize = 2 << 20;
 const MAX_REQUEST_ID_BYTES: usize = 64;
@@ -28,6 +36,10 @@ pub enum JobSpec {
     PathRender(PathRenderSpec),
     /// Dataset version to a smaller one.
     Thin(Box<ThinSpec>),
+    /// Scene to observation map.
+    Observe(Box<ObserveSpec>),
+    /// Observation map to parameter map.
+    Fit(FitSpec),
 }
 
 /// Scene to dataset version.
@@ -161,6 +173,79 @@ pub struct ThinSpec {
     pub codec: Codec,
 }
 
+/// Scene or photographs to observation map.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ObserveSpec {
+    /// Which dataset gets a version.
+    pub dataset: String,
+    /// What is read.
+    pub source: ObserveSource,
+}
+
+/// What is observed.
+#[derive(Debug, Clone, PartialEq)]
+pub enum ObserveSource {
+    /// A scene, by the path tracer.
+    Scene(Box<ObservedScene>),
+    /// Photographs of a flat surface.
+    Photographs(PhotographSource),
+}
+
+/// A scene's object.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ObservedScene {
+    /// What is read.
+    pub scene: SceneSource,
+    /// As it came, to be kept with the version.
+    pub message: proto::SceneSource,
+    /// What to photograph and how.
+    pub settings: ObserveSettings,
+}
+
+/// Photographs of a flat surface.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PhotographSource {
+    /// One of the files.
+    pub list_path: String,
+    /// Relative path, content.
+    pub files: Vec<(String, ContentHash)>,
+    /// Of the rectangle; None: as the list says.
+    pub width: Option<f32>,
+    /// Of the rectangle; None: as the list says.
+    pub height: Option<f32>,
+    /// Of 8-bit codes.
+    pub response: Response,
+    /// Along an edge.
+    pub size_texels: u32,
+    /// Of stored pages.
+    pub pixel_format: PixelFormat,
+    /// Of stored pages.
+    pub codec: Codec,
+}
+
+impl ObserveSource {
+    /// Every uploaded file that must be there.
+    pub fn blobs(&self) -> Vec<ContentHash> {
+        match self {
+            Self::Scene(observed) => observed.scene.blobs().collect(),
+            Self::Photographs(source) => source.files.iter().map(|(_, content)| *content).collect(),
+        }
+    }
+}
+
+/// Observation map to parameter map.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FitSpec {
+    /// Which.
+    pub observations: String,
+    /// 0: the latest.
+    pub version: u64,
+    /// Which dataset gets a version.
+    pub dataset: String,
+    /// How to fit and store.
+    pub settings: parameter_map::ConstructSettings,
+}
+
 /// Limits that specifications are held to.
 #[derive(Debug, Clone, Copy)]
 pub struct SpecLimits {
@@ -171,20 +256,23 @@ pub struct SpecLimits {
 }
 
 impl JobSpec {
-    /// "capture", "evaluate", "path_render" or "thin".
+    /// "capture", "evaluate", "path_render", "thin", "observe" or "fit".
     pub fn kind(&self) -> &'static str {
         match self {
             Self::Capture(_) => "capture",
             Self::Evaluate(_) => "evaluate",
             Self::PathRender(_) => "path_render",
             Self::Thin(_) => "thin",
+            Self::Observe(_) => "observe",
+            Self::Fit(_) => "fit",
         }
     }
 
     /// The dataset and version that it reads; version 0 is the latest.
     pub fn reads(&self) -> Option<(&str, u64)> {
         match self {
-            Self::Capture(_) => None,
+            Self::Capture(_) | Self::Observe(_) => None,
+            Self::Fit(f) => Some((&f.observations, f.version)),
             Self::Evaluate(e) => Some((&e.dataset, e.version)),
             Self::PathRender(p) => Some((&p.dataset, p.version)),
             Self::Thin(t) => Some((&t.dataset, t.version)),
@@ -194,7 +282,7 @@ impl JobSpec {
     /// The settings that it renders with.
     pub fn settings(&self) -> &[RenderSettings] {
         match self {
-            Self::Capture(_) => &[],
+            Self::Capture(_) | Self::Observe(_) | Self::Fit(_) => &[],
             Self::Evaluate(e) => &e.settings,
             Self::PathRender(p) => std::slice::from_ref(&p.settings),
             Self::Thin(t) => std::slice::from_ref(&t.settings),
@@ -215,6 +303,8 @@ pub fn job_spec(message: Option<proto::JobSpec>, limits: &SpecLimits) -> Result<
         Spec::Evaluate(m) => JobSpec::Evaluate(evaluate(m, limits, "spec.evaluate")?),
         Spec::PathRender(m) => JobSpec::PathRender(path_render(m, limits, "spec.path_render")?),
         Spec::Thin(m) => JobSpec::Thin(Box::new(thin(m, "spec.thin")?)),
+        Spec::Observe(m) => JobSpec::Observe(Box::new(observe(m, "spec.observe")?)),
+        Spec::Fit(m) => JobSpec::Fit(fit(m, "spec.fit")?),
     })
 }
 
@@ -230,7 +320,8 @@ pub fn remembered(mut message: proto::JobSpec, version: Option<u64>) -> Vec<u8> 
         (Some(Spec::Evaluate(m)), Some(version)) => m.version = version,
         (Some(Spec::PathRender(m)), Some(version)) => m.version = version,
         (Some(Spec::Thin(m)), Some(version)) => m.version = version,
-        (Some(Spec::Capture(_)) | None, _) | (_, None) => {}
+        (Some(Spec::Fit(m)), Some(version)) => m.version = version,
+        (Some(Spec::Capture(_) | Spec::Observe(_)) | None, _) | (_, None) => {}
     }
     message.encode_to_vec()
 }
@@ -264,12 +355,8 @@ fn capture(m: proto::CaptureSpec, field: &str) -> Result<CaptureSpec, ApiError> 
     if face_size_texels % 16 != 0 {
         return Err(ApiError::field(at("face_size_texels"), format!("{face_size_texels}, a multiple of 16 expected")));
     }
-    let pixel_format = match proto::PixelFormat::try_from(m.pixel_format) {
-        Ok(proto::PixelFormat::Unspecified | proto::PixelFormat::F16) => PixelFormat::F16,
-        Ok(proto::PixelFormat::F32) => PixelFormat::F32,
-        Err(_) => return Err(ApiError::field(at("pixel_format"), format!("{}, F16 or F32 expected", m.pixel_format))),
-    };
-    let codec = codec(m.codec, &at("codec"))?;
+    let pixel_format = pixel_format(m.pixel_format, PixelFormat::F16, &at("pixel_format"))?;
+    let codec = codec(m.codec, Codec::DEFAULT, &at("codec"))?;
     Ok(CaptureSpec {
         scene: scene_source(m.scene.clone(), &at("scene"))?,
         scene_message: required(m.scene, &at("scene"))?,
@@ -326,9 +413,18 @@ fn evaluate(m: proto::EvaluateSpec, limits: &SpecLimits, field: &str) -> Result<
     })
 }
 
-fn codec(number: i32, field: &str) -> Result<Codec, ApiError> {
+fn pixel_format(number: i32, default: PixelFormat, field: &str) -> Result<PixelFormat, ApiError> {
+    match proto::PixelFormat::try_from(number) {
+        Ok(proto::PixelFormat::Unspecified) => Ok(default),
+        Ok(proto::PixelFormat::F16) => Ok(PixelFormat::F16),
+        Ok(proto::PixelFormat::F32) => Ok(PixelFormat::F32),
+        Err(_) => Err(ApiError::field(field, format!("{number}, F16 or F32 expected"))),
+    }
+}
+
+fn codec(number: i32, default: Codec, field: &str) -> Result<Codec, ApiError> {
     Ok(match proto::Codec::try_from(number) {
-        Ok(proto::Codec::Unspecified) => Codec::DEFAULT,
+        Ok(proto::Codec::Unspecified) => default,
         Ok(proto::Codec::ZstdChunk) => Codec::ZstdChunk,
         Ok(proto::Codec::ZstdSeq) => Codec::ZstdSeq,
         Ok(proto::Codec::LzwSeq) => Codec::LzwSeq,
@@ -361,7 +457,94 @@ fn thin(m: proto::ThinSpec, field: &str) -> Result<ThinSpec, ApiError> {
         windows: count(m.windows, 4096, 16, 16_384, &at("windows"))?,
         truth_samples_per_pixel: count(m.truth_samples_per_pixel, 256, 1, 65_536, &at("truth_samples_per_pixel"))?,
         seed: m.seed,
-        codec: codec(m.codec, &at("codec"))?,
+        codec: codec(m.codec, Codec::DEFAULT, &at("codec"))?,
+    })
+}
+
+fn observe(m: proto::ObserveSpec, field: &str) -> Result<ObserveSpec, ApiError> {
+    use proto::observe_spec::Source;
+    let size_texels = count(m.size_texels, 256, 1, MOST_TEXELS_PER_EDGE, &format!("{field}.size_texels"))?;
+    let pixel_format = pixel_format(m.pixel_format, PixelFormat::F32, &format!("{field}.pixel_format"))?;
+    let codec = codec(m.codec, Codec::DEFAULT, &format!("{field}.codec"))?;
+    let source = match required(m.source, &format!("{field}.source"))? {
+        Source::VirtualPhotographs(source) => {
+            virtual_photographs(source, (size_texels, pixel_format, codec), &format!("{field}.virtual_photographs"))?
+        }
+        Source::Photographs(source) => photographs(source, (size_texels, pixel_format, codec), &format!("{field}.photographs"))?,
+    };
+    Ok(ObserveSpec { dataset: dataset_name(&m.dataset, &format!("{field}.dataset"))?, source })
+}
+
+fn photographs(
+    source: proto::PhotographSet,
+    (size_texels, pixel_format, codec): (u32, PixelFormat, Codec),
+    field: &str,
+) -> Result<ObserveSource, ApiError> {
+    use proto::photograph_set::Response as Message;
+    let at = |name: &str| format!("{field}.{name}");
+    let length = |value: f32, name: &str| (value != 0.0).then(|| positive(value, &at(name))).transpose();
+    Ok(ObserveSource::Photographs(PhotographSource {
+        files: uploaded_files(source.files, &source.list_path, "list_path", field)?,
+        list_path: source.list_path,
+        width: length(source.width, "width")?,
+        height: length(source.height, "height")?,
+        response: match Message::try_from(source.response) {
+            Ok(Message::Unspecified | Message::Srgb) => Response::Srgb,
+            Ok(Message::Linear) => Response::Linear,
+            Err(_) => return Err(ApiError::field(at("response"), format!("{}, SRGB or LINEAR expected", source.response))),
+        },
+        size_texels,
+        pixel_format,
+        codec,
+    }))
+}
+
+fn virtual_photographs(
+    source: proto::VirtualPhotographs,
+    (size_texels, pixel_format, codec): (u32, PixelFormat, Codec),
+    field: &str,
+) -> Result<ObserveSource, ApiError> {
+    let at = |name: &str| format!("{field}.{name}");
+    if source.object.is_empty() {
+        return Err(ApiError::field(at("object"), "missing"));
+    }
+    let directions = if source.directions.is_empty() { DEFAULT_DIRECTIONS } else { source.directions.as_str() };
+    let directions: Scheme = directions.parse().map_err(|e: SchemeError| ApiError::field(at("directions"), e.to_string()))?;
+    let axis = source.axis.map(|axis| vec3(axis).try_normalize().ok_or_else(|| ApiError::field(at("axis"), "zero or not finite")));
+    let distance_radii = or_default(source.distance_radii, 10.0, 1.0, 1e6, &at("distance_radii"))?;
+    Ok(ObserveSource::Scene(Box::new(ObservedScene {
+        scene: scene_source(source.scene.clone(), &at("scene"))?,
+        message: required(source.scene, &at("scene"))?,
+        settings: ObserveSettings {
+            object: source.object,
+            size_texels,
+            directions,
+            coverage: if source.both_hemispheres { Coverage::Sphere } else { Coverage::Hemisphere },
+            axis: axis.transpose()?,
+            distance_radii,
+            samples_per_observation: count(source.samples_per_observation, 64, 1, 65_536, &at("samples_per_observation"))?,
+            max_bounces: count(source.max_bounces, 8, 1, 64, &at("max_bounces"))?,
+            seed: source.seed,
+            pixel_format,
+            codec,
+        },
+    })))
+}
+
+fn fit(m: proto::FitSpec, field: &str) -> Result<FitSpec, ApiError> {
+    let at = |name: &str| format!("{field}.{name}");
+    let models = if m.models.is_empty() { "auto" } else { m.models.as_str() };
+    Ok(FitSpec {
+        observations: dataset_name(&m.observations, &at("observations"))?,
+        version: m.version,
+        dataset: dataset_name(&m.dataset, &at("dataset"))?,
+        settings: parameter_map::ConstructSettings {
+            models: models.parse().map_err(|e: parameter_map::UnknownModels| ApiError::field(at("models"), e.to_string()))?,
+            noise_floor: if m.noise_floor == 0.0 { None } else { Some(positive(m.noise_floor, &at("noise_floor"))?) },
+            relative_noise: within(m.relative_noise.unwrap_or(DEFAULT_RELATIVE_NOISE), 0.0, 1.0, &at("relative_noise"))?,
+            pixel_format: pixel_format(m.pixel_format, PixelFormat::F16, &at("pixel_format"))?,
+            codec: codec(m.codec, Codec::ZstdChunk, &at("codec"))?,
+        },
     })
 }
 
@@ -435,16 +618,23 @@ pub fn job_event(view: &JobView) -> Result<proto::JobEvent, ApiError> {
     Ok(proto::JobEvent { sequence: view.sequence, job: Some(listed_job(view)?), time: Some(timestamp(view.at_millis)) })
 }
 
+fn forget_files(scene: Option<&mut proto::SceneSource>) {
+    if let Some(proto::scene_source::Source::Bundle(bundle)) = scene.and_then(|s| s.source.as_mut()) {
+        bundle.files.clear();
+    }
+}
+
 /// A job without what may be long in its specification: the cameras and files that were given one by one.
 pub fn listed_job(view: &JobView) -> Result<proto::Job, ApiError> {
-    use proto::{evaluate_spec, job_spec::Spec, path_render_spec, scene_source::Source};
+    use proto::{evaluate_spec, job_spec::Spec, observe_spec, path_render_spec};
     let mut job = job(view)?;
     match job.spec.as_mut().and_then(|s| s.spec.as_mut()) {
-        Some(Spec::Capture(m)) => {
-            if let Some(Source::Bundle(bundle)) = m.scene.as_mut().and_then(|s| s.source.as_mut()) {
-                bundle.files.clear();
-            }
-        }
+        Some(Spec::Capture(m)) => forget_files(m.scene.as_mut()),
+        Some(Spec::Observe(m)) => match &mut m.source {
+            Some(observe_spec::Source::VirtualPhotographs(m)) => forget_files(m.scene.as_mut()),
+            Some(observe_spec::Source::Photographs(m)) => m.files.clear(),
+            None => {}
+        },
         Some(Spec::Evaluate(m)) => {
             if let Some(evaluate_spec::Views::Cameras(list)) = &mut m.views {
                 list.cameras.clear();
@@ -455,7 +645,7 @@ pub fn listed_job(view: &JobView) -> Result<proto::Job, ApiError> {
                 list.cameras.clear();
             }
         }
-        Some(Spec::Thin(_)) | None => {}
+        Some(Spec::Thin(_) | Spec::Fit(_)) | None => {}
     }
     Ok(job)
 }

@@ -88,25 +88,24 @@ fn builtin_base(message: proto::BuiltinScene, field: &str) -> Result<SceneBase, 
 fn builtin_options(parameters: &BTreeMap<String, String>, field: &str) -> Result<BuiltinOptions, ApiError> {
     let mut options = BuiltinOptions::full();
     for (name, value) in parameters {
-        let place = match name.as_str() {
-            "seed" => &mut options.seed,
-            "texture_px" => &mut options.texture_px,
-            "sky_px" => &mut options.sky_px,
-            "patch_steps" => &mut options.patch_steps,
-            _ => {
-                let message = format!("no parameter {:?}; seed, texture_px, sky_px or patch_steps expected", clipped(name));
-                return Err(ApiError::field(field, message));
-            }
-        };
-        *place = value
-            .parse()
-            .map_err(|_| ApiError::field(format!("{field}.{name}"), format!("{:?}, a whole number expected", clipped(value))))?;
+        options.set(name, value).map_err(|e| ApiError::field(format!("{field}.{}", clipped(name)), e.to_string()))?;
     }
     options.checked().map_err(|e| ApiError::field(field, e.to_string()))
 }
 
 fn bundle_base(message: proto::SceneBundle, field: &str) -> Result<SceneBase, ApiError> {
     let proto::SceneBundle { scene_path, files } = message;
+    let files = uploaded_files(files, &scene_path, "scene_path", field)?;
+    Ok(SceneBase::Bundle { scene_path, files })
+}
+
+/// Relative path and content of a bundle's files, of which `main`, given in the field `main_field`, is one.
+pub fn uploaded_files(
+    files: Vec<proto::SceneFile>,
+    main: &str,
+    main_field: &str,
+    field: &str,
+) -> Result<Vec<(String, ContentHash)>, ApiError> {
     if files.len() > MAX_FILES {
         return Err(ApiError::field(format!("{field}.files"), format!("{} files, at most {MAX_FILES} expected", files.len())));
     }
@@ -124,10 +123,10 @@ fn bundle_base(message: proto::SceneBundle, field: &str) -> Result<SceneBase, Ap
     if let Some(path) = seen.iter().find(|p| seen.range(format!("{p}/")..format!("{p}0")).next().is_some()) {
         return Err(ApiError::field(format!("{field}.files"), format!("{:?} is a file and a folder", clipped(path))));
     }
-    if !seen.contains(&scene_path) {
-        return Err(ApiError::field(format!("{field}.scene_path"), format!("{:?} is not among the files", clipped(&scene_path))));
+    if !seen.contains(main) {
+        return Err(ApiError::field(format!("{field}.{main_field}"), format!("{:?} is not among the files", clipped(main))));
     }
-    Ok(SceneBase::Bundle { scene_path, files: checked })
+    Ok(checked)
 }
 
 /// No way out of the bundle's folder, on any file system.
@@ -174,7 +173,7 @@ mod tests {
         let refusal = |name: &str, parameters: &[(&str, &str)]| builtin(name, parameters).unwrap_err().to_string();
         assert!(refusal("gazbo", &[]).starts_with("scene.builtin.name"), "{}", refusal("gazbo", &[]));
         assert!(refusal("", &[]).contains("gazebo, furnace"));
-        for bad in [("colour", "1"), ("seed", "one"), ("texture_px", "-1"), ("texture_px", "1000000")] {
+        for bad in [("colour", "1"), ("seed", "one"), ("texture_px", "-1"), ("texture_px", "1000000"), ("shininess", "NaN")] {
             assert!(refusal("gazebo", &[bad]).starts_with("scene.builtin.parameters"), "{}", refusal("gazebo", &[bad]));
         }
     }

@@ -3,7 +3,7 @@
 use glam::Vec3;
 use lumisphere::images::JpegQuality;
 use lumisphere::representations::offset_surface_light_field as oslf;
-use lumisphere::representations::{Kind, Settings};
+use lumisphere::representations::{Settings, parameter_map};
 
 use super::camera::vec3;
 use super::{proto, required, within};
@@ -67,6 +67,7 @@ pub fn render_settings(message: Option<proto::RenderSettings>, field: &str) -> R
         Representation::OffsetSurfaceLightField(m) => {
             Settings::OffsetSurfaceLightField(oslf_settings(m, &format!("{field}.offset_surface_light_field"))?)
         }
+        Representation::ParameterMap(m) => Settings::ParameterMap(parameter_map_settings(m, &format!("{field}.parameter_map"))?),
     };
     let backend = match proto::Backend::try_from(message.backend) {
         Ok(proto::Backend::Unspecified) => BackendChoice::Auto,
@@ -77,22 +78,26 @@ pub fn render_settings(message: Option<proto::RenderSettings>, field: &str) -> R
     Ok(RenderSettings { settings, backend })
 }
 
-/// The kind of dataset that settings are for.
-pub fn kind_of(settings: &Settings) -> Kind {
-    match settings {
-        Settings::OffsetSurfaceLightField(_) => Kind::OffsetSurfaceLightField,
-    }
-}
-
 /// Refuses settings for another kind than the dataset's.
 pub fn check_kind(settings: &Settings, dataset_kind: &str) -> Result<(), ApiError> {
-    let kind = kind_of(settings).name();
+    let kind = settings.kind().name();
     match kind == dataset_kind {
         true => Ok(()),
         false => {
             Err(ApiError::new(Reason::DatasetKindMismatch, format!("the dataset holds {dataset_kind:?}, the settings are for {kind:?}")))
         }
     }
+}
+
+fn parameter_map_settings(message: proto::ParameterMapSettings, field: &str) -> Result<parameter_map::Settings, ApiError> {
+    use proto::parameter_map_settings::Show;
+    let show = match Show::try_from(message.show) {
+        Ok(Show::Unspecified | Show::Radiance) => parameter_map::Show::Radiance,
+        Ok(Show::Models) => parameter_map::Show::Models,
+        Ok(Show::Flags) => parameter_map::Show::Flags,
+        Err(_) => return Err(ApiError::field(format!("{field}.show"), format!("{}, RADIANCE, MODELS or FLAGS expected", message.show))),
+    };
+    Ok(parameter_map::Settings { show })
 }
 
 fn oslf_settings(message: proto::OffsetSurfaceLightFieldSettings, field: &str) -> Result<oslf::Settings, ApiError> {

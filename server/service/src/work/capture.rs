@@ -16,7 +16,7 @@ const KIND: Kind = Kind::OffsetSurfaceLightField;
 
 impl Work {
     pub(super) fn capture(&self, spec: &CaptureSpec, attempt: &Attempt) -> Result<Outcome, ApiError> {
-        let version = self.publish_once(&spec.dataset, KIND, attempt, |staging| self.fill(spec, staging, attempt))?;
+        let version = self.publish_once(&spec.dataset, KIND.name(), attempt, |staging| self.fill(spec, staging, attempt))?;
         self.published(&spec.dataset, version)
     }
 
@@ -36,7 +36,7 @@ impl Work {
         };
         let parameters = construct(&scene, &settings, staging, attempt)?;
         let object = scene.object(&spec.object).expect("construct found the object");
-        let origin = Origin::new(spec.scene_message.clone(), scene.objects[object].mesh.bounds());
+        let origin = Origin::new(Some(spec.scene_message.clone()), scene.objects[object].mesh.bounds());
         staging.put_blob(ORIGIN, &origin.to_bytes())?;
         Ok(Publication {
             kind: KIND.name().into(),

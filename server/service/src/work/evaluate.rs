@@ -20,21 +20,14 @@ use crate::wire::settings::{Encoding, Output};
 /// Pictures of the first view are kept as EXR too; all are kept as PNG.
 const EXR_PREFIX: &str = "view-00-";
 
-/// What a capture records of itself that an evaluation needs.
-#[derive(serde::Deserialize)]
-struct Captured {
-    object: String,
-    max_bounces: u32,
-}
-
 impl Work {
     pub(super) fn evaluate(&self, spec: &EvaluateSpec, attempt: &Attempt) -> Result<Outcome, ApiError> {
         let version = self.open(&spec.dataset, spec.version)?;
         let (_, scene) = self.captured_scene(&version)?;
         let manifest = version.pages.version.manifest();
-        let captured: Captured = serde_json::from_value(manifest.parameters.clone()).map_err(ApiError::internal)?;
+        let captured = version.representation.captured();
         let plan = Plan {
-            object: captured.object,
+            object: captured.object.into(),
             cameras: cameras(&spec.views, &version)?,
             settings: spec.settings.iter().map(|s| s.settings).collect(),
             mirror_truths: spec.truths.iter().map(|t| truth(*t)).collect(),

@@ -1,7 +1,6 @@
 //! A job's dataset version. Killed at any moment, the job goes on from the pages it has stored, or finds that it had finished.
 
 use lumisphere::progress::Progress;
-use lumisphere::representations::Kind;
 use lumisphere::textures::{Publication, Staging, StoreError};
 
 use super::Work;
@@ -13,7 +12,7 @@ impl Work {
     pub(super) fn publish_once(
         &self,
         dataset: &str,
-        kind: Kind,
+        kind: &str,
         attempt: &Attempt,
         fill: impl FnOnce(&Staging) -> Result<Publication, ApiError>,
     ) -> Result<u64, ApiError> {
@@ -37,16 +36,16 @@ impl Work {
     }
 
     /// The dataset's write lock and what an earlier attempt stored; or the version that it had published.
-    fn stage(&self, dataset: &str, kind: Kind, attempt: &Attempt) -> Result<Result<Staging, u64>, ApiError> {
+    fn stage(&self, dataset: &str, kind: &str, attempt: &Attempt) -> Result<Result<Staging, u64>, ApiError> {
         let store = self.catalog.store();
         match store.create_dataset(dataset) {
             Ok(()) | Err(StoreError::AlreadyExists { .. }) => {}
             Err(error) => return Err(error.into()),
         }
         if let Ok(manifest) = store.manifest(dataset, None)
-            && manifest.kind != kind.name()
+            && manifest.kind != kind
         {
-            let message = format!("dataset {dataset} holds {:?}, this job makes {:?}", manifest.kind, kind.name());
+            let message = format!("dataset {dataset} holds {:?}, this job makes {kind:?}", manifest.kind);
             return Err(ApiError::new(Reason::DatasetKindMismatch, message));
         }
         match store.stage(dataset, &attempt.token()) {

@@ -27,7 +27,7 @@ impl SceneFiles for BundleInStore<'_> {
 }
 
 /// A blob whole, but not one that would fill the memory.
-fn read_bounded(store: &Store, hash: &ContentHash, path: &str) -> Result<Vec<u8>, FileError> {
+pub(super) fn read_bounded(store: &Store, hash: &ContentHash, path: &str) -> Result<Vec<u8>, FileError> {
     let failed = |error: StoreError| FileError::Io { path: path.into(), source: std::io::Error::other(error) };
     match store.blob_bytes(hash).map_err(failed)? > DEFAULT_FILE_LIMIT_BYTES {
         true => Err(FileError::TooLarge { path: path.into(), limit_bytes: DEFAULT_FILE_LIMIT_BYTES }),

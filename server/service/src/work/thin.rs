@@ -24,7 +24,7 @@ const KEPT: &str = "kept.json";
 impl Work {
     pub(super) fn thin(&self, spec: &ThinSpec, attempt: &Attempt) -> Result<Outcome, ApiError> {
         let fill = |staging: &Staging| self.fill_thinned(spec, &*self.open(&spec.dataset, spec.version)?, staging, attempt);
-        let thinned = self.publish_once(&spec.into, KIND, attempt, fill)?;
+        let thinned = self.publish_once(&spec.into, KIND.name(), attempt, fill)?;
         let outcome = self.published(&spec.into, thinned)?;
         let mut summary: serde_json::Value = serde_json::from_str(&outcome.summary_json).map_err(ApiError::internal)?;
         let report = self.catalog.store().open_version(&spec.into, Some(thinned))?.blob(REPORT)?;
@@ -45,7 +45,9 @@ impl Work {
             ApiError::new(Reason::DatasetKindMismatch, message)
         })?;
         let (source, scene) = self.captured_scene(version)?;
-        let Settings::OffsetSurfaceLightField(settings) = spec.settings.settings;
+        let Settings::OffsetSurfaceLightField(settings) = spec.settings.settings else {
+            return Err(ApiError::internal("settings were checked against the dataset's kind"));
+        };
         let plan = ThinPlan {
             settings,
             metric: spec.metric,

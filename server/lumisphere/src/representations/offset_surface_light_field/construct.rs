@@ -4,11 +4,11 @@ use glam::Vec3;
 use thiserror::Error;
 
 use super::sample_points::{PlacementError, Spacing, build_sample_maps, place_sample_points, spacing_of};
-use super::{NO_SAMPLE, OffsetSurfaceLightField, Parameters, PartsError, SamplePoint, SurfaceMesh, to_parts};
-use crate::capture::{CaptureError, Viewpoint, bake_background, coarser_levels, trace_cube_maps};
+use super::{NO_SAMPLE, OffsetSurfaceLightField, Parameters, SamplePoint, to_parts};
+use crate::capture::{CaptureError, PartsError, SurfaceMesh, Viewpoint, bake_background, coarser_levels, trace_cube_maps};
 use crate::progress::{Cancelled, Progress};
 use crate::raytrace::{Appearance, TraceError, TraceSettings, Tracer};
-use crate::scenes::{Object, Scene, Surface};
+use crate::scenes::Scene;
 use crate::textures::{Codec, PixelFormat, Staging, StoreError};
 
 /// What to capture and how. Lengths are in the scene's unit.
@@ -110,7 +110,7 @@ pub fn construct(
     check(settings)?;
 
     progress.report("placing sample points", 0, 1);
-    let surface = surface_mesh(object);
+    let surface = SurfaceMesh::of(object);
     let tracer = Tracer::new(scene)?.with_appearance(index, Appearance::Diffuse);
     let placed = place_sample_points(&surface, settings.spacing)?;
     let epsilon = settings.epsilon.unwrap_or_else(|| DEFAULT_EPSILON_PER_SPACING * spacing_of(&surface, placed.len()));
@@ -169,17 +169,6 @@ fn check(settings: &ConstructSettings) -> Result<(), ConstructError> {
         return Err(ConstructError::Setting { setting: "epsilon", value: epsilon.to_string(), expected: "a finite distance above zero" });
     }
     Ok(())
-}
-
-// Patches are parts of their own; any other mesh is one part.
-fn surface_mesh(object: &Object) -> SurfaceMesh {
-    let mesh = object.mesh.clone();
-    match &object.surface {
-        Surface::Mesh => SurfaceMesh { part_of_triangle: vec![0; mesh.triangles.len()], parts: 1, mesh },
-        Surface::Patches { patches, patch_of_triangle } => {
-            SurfaceMesh { part_of_triangle: patch_of_triangle.clone(), parts: patches.len() as u32, mesh }
-        }
-    }
 }
 
 // Points lifted by ε; those inside other geometry, or cut off from their surface by it, are dropped.

@@ -8,6 +8,7 @@ use glam::{Vec2, Vec3};
 
 use super::super::*;
 use super::{ConstructError, ConstructSettings, construct};
+use crate::capture::PartsError;
 use crate::directions::FACES;
 use crate::geometry::{BezierPatch, PatchPoint, TriangleMesh};
 use crate::progress::{Cancelled, Progress, Unattended};

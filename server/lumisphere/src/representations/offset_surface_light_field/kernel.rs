@@ -13,7 +13,8 @@ use super::coarse::{Coarse, with_levels};
 use super::{Blend, Component, Filter, Gloss, OffsetSurfaceLightField, Settings};
 use crate::gpu::{Atlas, AtlasShape, Gpu, GpuCacheStats, GpuError, ReadBack, Shader, binding, storage_buffer, uniform_buffer};
 use crate::radiometry::brdf::BrdfUniform;
-use crate::representations::g_buffer::{BAND_BYTES_PER_PIXEL, Band, OUTPUT_WORDS, ProxyGeometry, Rasterizer, band_entries};
+use crate::representations::frame_output::{BAND_BYTES, BYTES_PER_PIXEL, BoundBand, MAX_BAND_PIXELS};
+use crate::representations::g_buffer::{ProxyGeometry, Rasterizer, band_entries};
 use crate::representations::page_source::CountingSource;
 use crate::representations::{FrameRequest, GpuFrameStats, GpuKernel, Pixels, RenderError, UploadUnit};
 use crate::textures::{Page, PageId, PixelFormat, PolicyKind};
@@ -53,14 +54,9 @@ pub(crate) struct ShadingUniform {
     pub block_shift: u32,
 }
 
-// A band has at most this many pixels: 32 MiB on the device with everything that grows with it.
-const MAX_BAND_PIXELS: u32 = 1 << 19;
 // A page's rows come in blocks of so many, as they are stored, or in as many blocks as a word has bits.
 const BLOCK_ROWS: u32 = 16;
 const MOST_BLOCKS: u32 = 32;
-// With the copy of the output that is read back.
-const BYTES_PER_PIXEL: u64 = BAND_BYTES_PER_PIXEL + 4 * OUTPUT_WORDS;
-const BAND_BYTES: u64 = MAX_BAND_PIXELS as u64 * BYTES_PER_PIXEL;
 
 /// One dataset on the device.
 pub(crate) struct Kernel {
@@ -107,13 +103,6 @@ impl BoundAtlas {
     fn bytes_of(&self, blocks: u32) -> u64 {
         self.shape.bytes_of_blocks(blocks, self.coarse.levels_before())
     }
-}
-
-/// What a band of one size needs.
-struct BoundBand {
-    band: Band,
-    resources: wgpu::BindGroup,
-    read_back: ReadBack,
 }
 
 impl Kernel {
@@ -254,17 +243,7 @@ impl Kernel {
     }
 
     fn ensure_band(&mut self, width: u32, rows: u32) -> Result<(), GpuError> {
-        if self.band.as_ref().is_some_and(|b| (b.band.width, b.band.rows) == (width, rows)) {
-            return Ok(());
-        }
-        // The old one first, so that both are never held at once.
-        self.band = None;
-        let band = self.rasterizer.band(&self.gpu, width, rows);
-        let resources = self.rasterizer.bind_band(&self.gpu, &self.shader, &band);
-        let read_back = ReadBack::new(&self.gpu, "output", band.output().size());
-        self.gpu.check()?;
-        self.band = Some(BoundBand { band, resources, read_back });
-        Ok(())
+        BoundBand::ensure(&mut self.band, &self.gpu, (&self.rasterizer, &self.shader), (width, rows))
     }
 
     fn pipeline(&mut self, settings: &Settings, stand_in: bool) -> PipelineKey {

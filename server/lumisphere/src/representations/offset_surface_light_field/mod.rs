@@ -36,22 +36,21 @@ use std::sync::Arc;
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
 
-use crate::capture::Background;
+use crate::capture::{Background, SurfaceMesh};
 use crate::directions::{DirectionDifferential, FACES, PyramidLevel, Taps, Texel};
-use crate::geometry::TriangleMesh;
 #[cfg(feature = "gpu")]
 use crate::gpu::{Gpu, GpuError};
 use crate::radiometry::brdf::AnalyticBrdf;
 #[cfg(feature = "gpu")]
 use crate::representations::GpuKernel;
-use crate::representations::{CpuKernel, Kind, RenderError, Representation};
+use crate::representations::{Captured, CpuKernel, Kind, RenderError, Representation};
 use crate::textures::{PageId, PageShape};
 
 pub use construct::{ConstructError, ConstructSettings, construct};
 #[cfg(all(test, feature = "gpu"))]
 pub(crate) use kernel::SOURCE as KERNEL_SOURCE;
 pub use sample_points::{PlacementError, Spacing, build_sample_maps, place_sample_points};
-pub use storage::{PartsError, from_parts, to_parts};
+pub use storage::{from_parts, to_parts};
 pub use thinning::{Kept, PixelError, Thinning, ThinningError, ValidationPixel, ValidationView, copy_pages};
 
 /// Largest angle between a texel's normal and the direction to a sample point when sample maps are built.
@@ -124,17 +123,6 @@ pub struct ThinnedFrom {
     pub sample_points: u32,
     /// Texels along a cube-map face.
     pub face_size_texels: u32,
-}
-
-/// The object's triangles; each belongs to one *part*, one texture region with uv in [0, 1]² and its own sample map.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct SurfaceMesh {
-    /// World space.
-    pub mesh: TriangleMesh,
-    /// Part of each triangle, below `parts`.
-    pub part_of_triangle: Vec<u32>,
-    /// How many parts there are.
-    pub parts: u32,
 }
 
 /// Where a cube map was taken.
@@ -339,6 +327,10 @@ impl Representation for OffsetSurfaceLightField {
 
     fn as_any(&self) -> &dyn Any {
         self
+    }
+
+    fn captured(&self) -> Captured<'_> {
+        Captured { object: &self.parameters.object, max_bounces: self.parameters.max_bounces }
     }
 
     fn page_count(&self) -> usize {

@@ -62,7 +62,9 @@ impl Reference {
 
 impl CpuKernel for Reference {
     fn render(&self, request: &FrameRequest<'_>, pages: &CountingSource<'_>) -> Result<Pixels, RenderError> {
-        let AnySettings::OffsetSurfaceLightField(settings) = request.settings;
+        let AnySettings::OffsetSurfaceLightField(settings) = request.settings else {
+            return Err(RenderError::OtherKind { settings: request.settings.kind() });
+        };
         let touched = PagesTouched::new(self.field.page_count());
         let start = || (Stack::new(), PagedCubes::new(&self.field, pages, &touched));
         let mut frame = render_in_buckets(request, start, |(stack, cubes), i, j| {

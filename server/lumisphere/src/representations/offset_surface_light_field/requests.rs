@@ -20,7 +20,9 @@ pub(super) fn record_requests(
     recording: &Recording<'_>,
     sink: &mut dyn FnMut(TexelRequest),
 ) -> Result<(), RenderError> {
-    let AnySettings::OffsetSurfaceLightField(settings) = recording.settings;
+    let AnySettings::OffsetSurfaceLightField(settings) = recording.settings else {
+        return Err(RenderError::OtherKind { settings: recording.settings.kind() });
+    };
     let camera = recording.camera;
     let (width, height) = (camera.intrinsics().width_px, camera.intrinsics().height_px);
     let mut stack = Stack::new();

@@ -3,12 +3,13 @@
 use std::cmp::Ordering;
 use std::collections::HashMap;
 
-use glam::{IVec3, Vec2, Vec3};
+use glam::{IVec3, Vec3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::{CONSTRUCTION_HORIZON_DEG, NO_SAMPLE, SampleMaps, SamplePoint, SurfaceMesh};
+use super::{CONSTRUCTION_HORIZON_DEG, NO_SAMPLE, SampleMaps, SamplePoint};
+use crate::capture::{SurfaceMesh, SurfaceTexel, surface_texels};
 
 /// How far apart sample points lie.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -150,12 +151,18 @@ pub fn build_sample_maps(
         .into_par_iter()
         .flat_map_iter(|part| {
             let texels = surface_texels(surface, part, size);
-            let mut map: Vec<Option<[u16; 4]>> = texels.par_iter().map(|t| t.and_then(|t| best_four(t, points, visible))).collect();
+            let mut map: Vec<Option<[u16; 4]>> = texels.par_iter().map(|t| best_four(t.as_ref()?.into(), points, visible)).collect();
             fill_outside(&mut map, size);
             map.into_iter().map(|m| m.unwrap_or([NO_SAMPLE; 4]))
         })
         .collect();
     SampleMaps { size, indices }
+}
+
+impl From<&SurfaceTexel> for SamplePoint {
+    fn from(texel: &SurfaceTexel) -> Self {
+        Self { position: texel.position, normal: texel.normal }
+    }
 }
 
 fn best_four(texel: SamplePoint, points: &[SamplePoint], visible: &(dyn Fn(SamplePoint, Vec3) -> bool + Sync)) -> Option<[u16; 4]> {
@@ -203,37 +210,6 @@ pub(super) fn nearest_visible(
     found
 }
 
-// Surface point and normal at each texel centre of `part`; None outside its triangles' uv.
-fn surface_texels(surface: &SurfaceMesh, part: u32, size: usize) -> Vec<Option<SamplePoint>> {
-    let mesh = &surface.mesh;
-    let mut texels = vec![None; size * size];
-    for (t, _) in surface.part_of_triangle.iter().enumerate().filter(|(_, p)| **p == part) {
-        let corner = mesh.triangles[t].map(|v| v as usize);
-        let uv = corner.map(|v| mesh.uvs[v] * size as f32);
-        let area = (uv[1] - uv[0]).perp_dot(uv[2] - uv[0]);
-        if area == 0.0 {
-            continue;
-        }
-        let low = uv[0].min(uv[1]).min(uv[2]).floor().max(Vec2::ZERO).as_usizevec2();
-        let high = uv[0].max(uv[1]).max(uv[2]).ceil().min(Vec2::splat(size as f32)).max(Vec2::ZERO).as_usizevec2();
-        for row in low.y..high.y {
-            for column in low.x..high.x {
-                let at = Vec2::new(column as f32 + 0.5, row as f32 + 0.5);
-                let b1 = (at - uv[0]).perp_dot(uv[2] - uv[0]) / area;
-                let b2 = (uv[1] - uv[0]).perp_dot(at - uv[0]) / area;
-                let b0 = 1.0 - b1 - b2;
-                // Shared edges are covered from both sides despite rounding.
-                if b0.min(b1).min(b2) >= -1e-5 {
-                    let blend = |a: &[Vec3]| b0 * a[corner[0]] + b1 * a[corner[1]] + b2 * a[corner[2]];
-                    let normal = blend(&mesh.normals).normalize_or(Vec3::Y);
-                    texels[row * size + column] = Some(SamplePoint { position: blend(&mesh.positions), normal });
-                }
-            }
-        }
-    }
-    texels
-}
-
 // Spreads values to empty texels, nearest first, ring by ring.
 fn fill_outside(map: &mut [Option<[u16; 4]>], size: usize) {
     let mut front: Vec<usize> = (0..map.len()).filter(|i| map[*i].is_some()).collect();
@@ -255,6 +231,8 @@ fn fill_outside(map: &mut [Option<[u16; 4]>], size: usize) {
 
 #[cfg(test)]
 mod tests {
+    use glam::Vec2;
+
     use super::*;
     use crate::geometry::TriangleMesh;
 

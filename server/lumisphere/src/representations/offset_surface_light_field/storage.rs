@@ -1,18 +1,10 @@
 //! The bytes of an offset surface light field: four named parts beside the cube-map pages, and the parameters in the manifest.
 //!
-//! Each part is one zstd frame of a format byte and the postcard encoding (little-endian floats) of its struct. The store
-//! checks every part's hash; what is read here is checked again for sense, since datasets may come from other servers.
+//! The store checks every part's hash; what is read here is checked again for sense, since datasets may come from other servers.
 
-use std::io::Read;
-
-use serde::Serialize;
-use serde::de::DeserializeOwned;
-use thiserror::Error;
-
-use super::{NO_SAMPLE, OffsetSurfaceLightField, Parameters, SampleMaps, SamplePoint, SurfaceMesh};
-use crate::capture::{Background, coarser_levels};
-use crate::images::Image;
-use crate::scenes::{Albedo, Environment};
+use super::{NO_SAMPLE, OffsetSurfaceLightField, Parameters, SampleMaps, SamplePoint};
+use crate::capture::coarser_levels;
+use crate::capture::parts::{PartsError, decode, encode};
 
 // Not a part but checked with them.
 const PARAMETERS: &str = "parameters";
@@ -20,20 +12,6 @@ const SURFACE: &str = "surface";
 const SAMPLE_POINTS: &str = "sample_points";
 const SAMPLE_MAPS: &str = "sample_maps";
 const BACKGROUND: &str = "background";
-// Of every part; a new layout gets a new number.
-const FORMAT: u8 = 1;
-// No part of a sensible dataset is larger; a lying one stops here instead of filling memory.
-const MAX_PART_BYTES: u64 = 1 << 31;
-
-/// A part cannot be encoded or decoded, or contradicts the others.
-#[derive(Debug, Clone, PartialEq, Eq, Error)]
-#[error("part {part} of the offset surface light field is malformed: {reason}")]
-pub struct PartsError {
-    /// Which part.
-    pub part: &'static str,
-    /// What does not agree.
-    pub reason: String,
-}
 
 /// The named parts to store beside the pages.
 pub fn to_parts(field: &OffsetSurfaceLightField) -> Result<Vec<(&'static str, Vec<u8>)>, PartsError> {
@@ -59,35 +37,14 @@ pub fn from_parts<E: From<PartsError>>(
     };
     for (part, outcome) in [
         (PARAMETERS, check_parameters(&field.parameters)),
-        (SURFACE, check_surface(&field.surface)),
+        (SURFACE, field.surface.check()),
         (SAMPLE_POINTS, check_points(&field.sample_points)),
         (SAMPLE_MAPS, check_maps(&field.sample_maps, field.surface.parts, field.sample_points.len())),
-        (BACKGROUND, check_background(&field.background)),
+        (BACKGROUND, field.background.check()),
     ] {
         outcome.map_err(|reason| PartsError { part, reason })?;
     }
     Ok(field)
-}
-
-fn encode<T: Serialize>(part: &'static str, value: &T) -> Result<Vec<u8>, PartsError> {
-    let malformed = |reason: String| PartsError { part, reason };
-    let bytes = postcard::to_extend(value, vec![FORMAT]).map_err(|e| malformed(e.to_string()))?;
-    zstd::encode_all(bytes.as_slice(), 1).map_err(|e| malformed(e.to_string()))
-}
-
-fn decode<T: DeserializeOwned>(part: &'static str, compressed: &[u8]) -> Result<T, PartsError> {
-    let malformed = |reason: String| PartsError { part, reason };
-    let decoder = zstd::Decoder::new(compressed).map_err(|e| malformed(e.to_string()))?;
-    let mut bytes = Vec::new();
-    decoder.take(MAX_PART_BYTES + 1).read_to_end(&mut bytes).map_err(|e| malformed(e.to_string()))?;
-    if bytes.len() as u64 > MAX_PART_BYTES {
-        return Err(malformed(format!("larger than {MAX_PART_BYTES} bytes")));
-    }
-    match bytes.split_first() {
-        Some((&FORMAT, rest)) => postcard::from_bytes(rest).map_err(|e| malformed(e.to_string())),
-        Some((other, _)) => Err(malformed(format!("format {other}, {FORMAT} expected"))),
-        None => Err(malformed("empty".into())),
-    }
 }
 
 fn check_parameters(parameters: &Parameters) -> Result<(), String> {
@@ -95,17 +52,6 @@ fn check_parameters(parameters: &Parameters) -> Result<(), String> {
     match levels <= most {
         true => Ok(()),
         false => Err(format!("{levels} coarser levels of faces of {}², at most {most} expected", parameters.face_size_texels)),
-    }
-}
-
-fn check_surface(surface: &SurfaceMesh) -> Result<(), String> {
-    let (parts, triangles) = (surface.part_of_triangle.len(), surface.mesh.triangles.len());
-    if parts != triangles {
-        return Err(format!("{parts} part numbers for {triangles} triangles"));
-    }
-    match surface.part_of_triangle.iter().find(|p| **p >= surface.parts) {
-        Some(p) => Err(format!("a triangle belongs to part {p}, below {} expected", surface.parts)),
-        None => Ok(()),
     }
 }
 
@@ -130,37 +76,6 @@ fn check_maps(maps: &SampleMaps, parts: u32, points: usize) -> Result<(), String
     }
 }
 
-fn check_background(background: &Background) -> Result<(), String> {
-    let check_image = |what: &str, image: &Image| {
-        let pixels = image.width.checked_mul(image.height).unwrap_or(0);
-        let sound =
-            pixels > 0 && image.planes.len() == 3 && image.planes.iter().all(|p| p.len() == pixels && p.iter().all(|v| v.is_finite()));
-        if sound { Ok(()) } else { Err(format!("{what} is not a finite three-channel image of its stated size")) }
-    };
-    for (i, texture) in background.textures.iter().enumerate() {
-        check_image(&format!("texture {i}"), &texture.image)?;
-    }
-    match &background.environment {
-        Environment::Constant(radiance) if !radiance.is_finite() => return Err("environment is not finite".into()),
-        Environment::Map(map) => check_image("environment", &map.image)?,
-        Environment::Constant(_) => {}
-    }
-    for (i, surface) in background.surfaces.iter().enumerate() {
-        if surface.irradiance.len() != surface.mesh.positions.len() {
-            return Err(format!("surface {i} has {} irradiances for {} vertices", surface.irradiance.len(), surface.mesh.positions.len()));
-        }
-        if !(surface.emission.is_finite() && surface.irradiance.iter().flatten().all(|e| e.is_finite())) {
-            return Err(format!("surface {i} has light that is not finite"));
-        }
-        if let Some(Albedo::Texture(t)) = surface.albedo
-            && t >= background.textures.len()
-        {
-            return Err(format!("surface {i} names texture {t}, below {} expected", background.textures.len()));
-        }
-    }
-    Ok(())
-}
-
 #[cfg(test)]
 mod tests {
     use std::collections::HashMap;
@@ -169,8 +84,9 @@ mod tests {
 
     use super::super::Spacing;
     use super::*;
-    use crate::capture::BackgroundSurface;
+    use crate::capture::{Background, BackgroundSurface, SurfaceMesh};
     use crate::geometry::TriangleMesh;
+    use crate::scenes::{Albedo, Environment};
 
     fn triangle() -> TriangleMesh {
         TriangleMesh::new(vec![Vec3::ZERO, Vec3::X, Vec3::Y], vec![Vec3::Z; 3], vec![Vec2::ZERO, Vec2::X, Vec2::Y], vec![[0, 1, 2]])

@@ -8,9 +8,10 @@ use rayon::prelude::*;
 use super::super::Settings;
 use super::super::coarse::with_levels;
 use super::frame::{Fidelity, MOST_DIRECTIONS_AT_ONCE, new_encoder};
-use super::{Kernel, MAX_BAND_PIXELS, gloss};
+use super::{Kernel, gloss};
 use crate::geometry::{Camera, Intrinsics};
 use crate::gpu::{Upload, conform};
+use crate::representations::frame_output::MAX_BAND_PIXELS;
 use crate::representations::{FrameRequest, RenderError, Settings as AnySettings};
 use crate::textures::{Page, PageId};
 
@@ -19,7 +20,9 @@ impl Kernel {
     /// frame nor this one wants. Looks at the object alone, whatever stands before it, and at large frames with fewer pixels. None before
     /// the first frame.
     pub(super) fn pages_ahead(&mut self, request: &FrameRequest<'_>, upload_bytes: u64) -> Result<Vec<PageId>, RenderError> {
-        let AnySettings::OffsetSurfaceLightField(settings) = request.settings;
+        let AnySettings::OffsetSurfaceLightField(settings) = request.settings else {
+            return Err(RenderError::OtherKind { settings: request.settings.kind() });
+        };
         if self.atlas.is_none() {
             return Ok(Vec::new());
         }

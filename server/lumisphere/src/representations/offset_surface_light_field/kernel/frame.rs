@@ -10,15 +10,15 @@
 use std::ops::Range;
 use std::time::Instant;
 
-use bytemuck::Pod;
 use rayon::prelude::*;
 
 use super::super::coarse::with_levels;
 use super::super::{Blend, Settings};
-use super::{BoundAtlas, Kernel, MAX_BAND_PIXELS, ShadingUniform};
+use super::{BoundAtlas, Kernel, ShadingUniform};
 use crate::gpu::{Gpu, GpuError, Upload, conform};
+use crate::representations::frame_output::{self, FrameOutput};
 use crate::representations::page_source::CountingSource;
-use crate::representations::{FrameRequest, GpuFrameStats, Pixels, Provenance, Refine, RenderError, Settings as AnySettings};
+use crate::representations::{FrameRequest, GpuFrameStats, Pixels, Refine, RenderError, Settings as AnySettings};
 use crate::textures::PageId;
 
 // At most this many decoded pages wait for their upload.
@@ -40,9 +40,7 @@ struct FrameInProgress<'a, 'p> {
     // What may still be uploaded; None: whatever it takes.
     allowance_bytes: Option<u64>,
     is_final: bool,
-    color: Vec<f32>,
-    depth: Option<Vec<f32>>,
-    provenance: Option<Vec<Provenance>>,
+    output: FrameOutput,
     stats: GpuFrameStats,
 }
 
@@ -70,13 +68,10 @@ pub(super) enum Fidelity {
 
 impl Kernel {
     pub(super) fn draw(&mut self, request: &FrameRequest<'_>, pages: &CountingSource<'_>) -> Result<(Pixels, GpuFrameStats), RenderError> {
-        let AnySettings::OffsetSurfaceLightField(settings) = request.settings;
-        let (width, height) = (request.camera.intrinsics().width_px, request.camera.intrinsics().height_px);
-        let limit = self.gpu.device().limits().max_texture_dimension_2d.min(MAX_BAND_PIXELS);
-        if width > limit {
-            let what = "width of the frame in pixels";
-            return Err(GpuError::BeyondLimit { what, needed: u64::from(width), limit: u64::from(limit) }.into());
-        }
+        let AnySettings::OffsetSurfaceLightField(settings) = request.settings else {
+            return Err(RenderError::OtherKind { settings: request.settings.kind() });
+        };
+        let bands = frame_output::bands(&self.gpu, request.camera)?;
         self.ensure_atlas(pages)?;
         let bound = self.atlas.as_mut().expect("made above");
         let (atlas, stands_in) = (&mut bound.atlas, bound.coarse.exists());
@@ -87,7 +82,6 @@ impl Kernel {
             Refine::UpTo { upload_bytes } if fits && stands_in => Some(upload_bytes),
             Refine::Whole | Refine::UpTo { .. } => None,
         };
-        let pixels = width as usize * height as usize;
         let mut frame = FrameInProgress {
             request,
             settings,
@@ -96,18 +90,15 @@ impl Kernel {
             wanted_count: 0,
             allowance_bytes,
             is_final: true,
-            color: Vec::with_capacity(3 * pixels),
-            depth: request.outputs.depth.then(|| Vec::with_capacity(pixels)),
-            provenance: request.outputs.provenance.then(|| Vec::with_capacity(pixels)),
+            output: FrameOutput::new(request),
             stats: GpuFrameStats::default(),
         };
-        let band_rows = (MAX_BAND_PIXELS / width).min(limit).min(height);
-        for first_row in (0..height).step_by(band_rows as usize) {
-            self.draw_band(&mut frame, first_row, band_rows.min(height - first_row))?;
+        for (first_row, rows) in bands {
+            self.draw_band(&mut frame, first_row, rows)?;
         }
-        let FrameInProgress { color, depth, provenance, wanted, wanted_count, is_final, stats, .. } = frame;
+        let FrameInProgress { output, wanted, wanted_count, is_final, stats, .. } = frame;
         self.last_wanted = wanted;
-        Ok((Pixels { color, depth, provenance, pages_needed: wanted_count, is_final }, stats))
+        Ok((output.into_pixels(wanted_count, is_final), stats))
     }
 
     fn draw_band(&mut self, frame: &mut FrameInProgress<'_, '_>, first_row: u32, rows: u32) -> Result<(), RenderError> {
@@ -180,9 +171,7 @@ impl Kernel {
     ) {
         self.record_shading(&mut encoder, frame.settings, pixels, fidelity, 1);
         let bound = self.band.as_ref().expect("made before");
-        for range in wanted_ranges(bound.band.pixels(), frame.request) {
-            encoder.copy_buffer_to_buffer(bound.band.output(), range.start, bound.read_back.buffer(), range.start, range.end - range.start);
-        }
+        FrameOutput::copy(frame.request.outputs, &mut encoder, &bound.band, &bound.read_back);
         gpu.queue().submit([encoder.finish()]);
     }
 
@@ -301,19 +290,7 @@ impl Kernel {
     fn read_band(&mut self, frame: &mut FrameInProgress<'_, '_>) -> Result<(), RenderError> {
         let begin = Instant::now();
         let bound = self.band.as_ref().expect("made before");
-        let pixels = bound.band.pixels() as usize;
-        let last = wanted_ranges(bound.band.pixels(), frame.request).last().map_or(0, |r| r.end);
-        let (color, depth, provenance) = (&mut frame.color, &mut frame.depth, &mut frame.provenance);
-        bound.read_back.request(0..last.next_multiple_of(wgpu::MAP_ALIGNMENT).min(bound.read_back.bytes())).finish(&self.gpu, |bytes| {
-            // Mapped memory is aligned to 8 bytes; pod_collect does not depend on it.
-            extend_from_bytes(color, &bytes[..12 * pixels]);
-            if let Some(depth) = depth {
-                extend_from_bytes(depth, &bytes[12 * pixels..16 * pixels]);
-            }
-            if let Some(provenance) = provenance {
-                extend_from_bytes(provenance, &bytes[16 * pixels..20 * pixels]);
-            }
-        })?;
+        frame.output.read(&self.gpu, &bound.band, &bound.read_back)?;
         frame.stats.read_back_millis += millis_since(begin);
         Ok(())
     }
@@ -341,25 +318,6 @@ fn halves(pixels: &Range<u32>) -> Option<[Part; 2]> {
     let middle = pixels.start + pixels.len() as u32 / 2;
     let part = |pixels| Part { pixels, rounds: 0 };
     (middle > pixels.start).then(|| [part(middle..pixels.end), part(pixels.start..middle)])
-}
-
-// Colour, and what else was asked for, as byte ranges of the output; neighbours are merged.
-fn wanted_ranges(pixels: u32, request: &FrameRequest<'_>) -> impl Iterator<Item = Range<u64>> {
-    let n = 4 * u64::from(pixels);
-    let (first, second) = match (request.outputs.depth, request.outputs.provenance) {
-        (false, false) => (0..3 * n, 0..0),
-        (true, false) => (0..4 * n, 0..0),
-        (true, true) => (0..5 * n, 0..0),
-        (false, true) => (0..3 * n, 4 * n..5 * n),
-    };
-    [first, second].into_iter().filter(|r| !r.is_empty())
-}
-
-fn extend_from_bytes<T: Pod>(out: &mut Vec<T>, bytes: &[u8]) {
-    match bytemuck::try_cast_slice(bytes) {
-        Ok(values) => out.extend_from_slice(values),
-        Err(_) => out.extend(bytes.chunks_exact(size_of::<T>()).map(bytemuck::pod_read_unaligned::<T>)),
-    }
 }
 
 fn exponent(blend: Blend) -> f32 {

@@ -6,16 +6,16 @@ use std::sync::Arc;
 
 use glam::{Quat, Vec2, Vec3};
 
-use crate::capture::{Background, BackgroundSurface, coarser_levels, halved, stacked};
+use crate::capture::{Background, BackgroundSurface, SurfaceMesh, coarser_levels, halved, stacked};
 use crate::directions::{FACES, direction_from_face, direction_from_lat_long, texel_direction};
 use crate::geometry::{Camera, Intrinsics, Pose, TriangleMesh};
 use crate::images::Image;
+pub(crate) use crate::representations::MemoryPages;
 use crate::representations::offset_surface_light_field::{
-    NO_SAMPLE, OffsetSurfaceLightField, Parameters, SamplePoint, Spacing, SurfaceMesh, build_sample_maps,
+    NO_SAMPLE, OffsetSurfaceLightField, Parameters, SamplePoint, Spacing, build_sample_maps,
 };
-use crate::representations::{Fetched, PageSource, TexelReader, WholePages};
 use crate::scenes::{Albedo, Environment, EnvironmentMap, Texture};
-use crate::textures::{DatasetVersion, Page, PageId, PageShape, PixelFormat, Publication, Store, StoreError, StoreOptions};
+use crate::textures::{DatasetVersion, Page, PageId, PageShape, PixelFormat, Publication, Store, StoreOptions};
 
 /// How the world is made and where it is put.
 #[derive(Debug, Clone, Copy)]
@@ -52,21 +52,6 @@ pub const WORLD: World = World {
     epsilon: 0.1,
     sun: 0.0,
 };
-
-/// All of a dataset's pages in memory.
-#[derive(Debug)]
-pub struct MemoryPages(pub Vec<Arc<Page>>);
-
-impl PageSource for MemoryPages {
-    fn page(&self, page: PageId) -> Result<Fetched, StoreError> {
-        let found = self.0.get(page.0 as usize).ok_or_else(|| StoreError::NotFound { what: format!("page {page}") })?;
-        Ok(Fetched { page: found.clone(), was_resident: true, bytes_read: 0 })
-    }
-
-    fn reader(&self) -> Box<dyn TexelReader + '_> {
-        Box::new(WholePages::new(self))
-    }
-}
 
 /// These pages as the only version of dataset "sphere" in a new store.
 pub fn stored(root: &Path, pages: &MemoryPages) -> Arc<DatasetVersion> {

@@ -1,0 +1,244 @@
+//! Host side of `kernel.wgsl`: what one map has on the device, and its frames.
+//!
+//! A map's numbers are brought whole, at its first frame: they are small by design. A map that does not fit into the budget is drawn by the CPU,
+//! which reads what it needs through the page cache.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use bytemuck::{Pod, Zeroable};
+
+use super::{ParameterMap, QUADS_PER_PAGE, Show};
+use crate::directions::harmonic_recurrence;
+use crate::gpu::{Gpu, GpuCacheStats, GpuError, Shader, binding, storage_buffer, uniform_buffer};
+use crate::representations::frame_output::{BAND_BYTES, BYTES_PER_PIXEL, BoundBand, FrameOutput, MAX_BAND_PIXELS, bands};
+use crate::representations::g_buffer::{ProxyGeometry, Rasterizer, band_entries};
+use crate::representations::page_source::CountingSource;
+use crate::representations::{FrameRequest, GpuFrameStats, GpuKernel, Pixels, RenderError, Settings as AnySettings, UploadUnit};
+use crate::textures::{Page, PageId, PixelFormat, PolicyKind};
+
+/// All of `kernel.wgsl`'s source.
+pub(crate) const SOURCE: &str = concat!(
+    include_str!("../g_buffer/camera.wgsl"),
+    include_str!("../g_buffer/band.wgsl"),
+    include_str!("../g_buffer/object.wgsl"),
+    include_str!("kernel.wgsl")
+);
+
+/// Layout as WGSL's `Shading`.
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+#[repr(C)]
+pub(crate) struct ShadingUniform {
+    pub size: u32,
+    pub show_what: u32,
+    pub half_precision: u32,
+    pub padding: u32,
+}
+
+/// One map on the device.
+pub(crate) struct Kernel {
+    gpu: Arc<Gpu>,
+    map: Arc<ParameterMap>,
+    budget_bytes: u64,
+    rasterizer: Rasterizer,
+    shader: Shader,
+    pipeline: wgpu::ComputePipeline,
+    shading: wgpu::Buffer,
+    texels: wgpu::Buffer,
+    recurrence: wgpu::Buffer,
+    numbers: Option<Numbers>,
+    band: Option<BoundBand>,
+    stats: GpuCacheStats,
+}
+
+/// All pages of the map.
+struct Numbers {
+    buffer: wgpu::Buffer,
+    resources: wgpu::BindGroup,
+}
+
+impl Kernel {
+    pub fn new(gpu: Arc<Gpu>, map: Arc<ParameterMap>, budget_bytes: u64) -> Result<Self, GpuError> {
+        let geometry = ProxyGeometry::new(&map.surface.mesh, &map.surface.part_of_triangle, &map.background);
+        let words: Vec<[u32; 2]> =
+            map.texels.texels.iter().map(|t| [t.first_quad, u32::from(t.code.number()) | u32::from(t.flags.bits()) << 8]).collect();
+        gpu.check_binding("the table of texels", size_of_val(words.as_slice()) as u64)?;
+        let entries = [
+            binding::read_buffer(0),
+            binding::read_buffer(1),
+            binding::uniform(2),
+            binding::read_buffer(3),
+            binding::read_buffer(4),
+            binding::read_buffer(5),
+        ];
+        let shader = Shader::new(&gpu, "parameter map", SOURCE, &[&band_entries(), &entries]);
+        let none = wgpu::BufferUsages::empty();
+        let kernel = Self {
+            rasterizer: Rasterizer::new(&gpu, &geometry)?,
+            pipeline: shader.compute_pipeline(&gpu, "shade", &[]),
+            shader,
+            shading: uniform_buffer::<ShadingUniform>(&gpu, "shading"),
+            texels: storage_buffer(&gpu, "texels", &words, none),
+            recurrence: storage_buffer(&gpu, "recurrence", &harmonic_recurrence(), none),
+            numbers: None,
+            band: None,
+            stats: GpuCacheStats::default(),
+            budget_bytes,
+            map,
+            gpu,
+        };
+        kernel.gpu.check()?;
+        kernel.check_budget()?;
+        Ok(kernel)
+    }
+
+    /// The last frame's last band's G-buffer.
+    #[cfg(test)]
+    pub fn read_g_buffer(&self) -> Vec<crate::representations::g_buffer::GBufferPixel> {
+        self.rasterizer.read_g_buffer(&self.gpu, &self.band.as_ref().expect("a frame was rendered").band)
+    }
+
+    fn number_bytes(&self) -> u64 {
+        self.map.page_count() as u64 * u64::from(QUADS_PER_PAGE) * 4 * self.map.parameters.pixel_format.bytes() as u64
+    }
+
+    fn fixed_bytes(&self) -> u64 {
+        self.rasterizer.bytes() + self.texels.size() + self.recurrence.size()
+    }
+
+    fn check_budget(&self) -> Result<(), GpuError> {
+        self.gpu.check_binding("the models' numbers", self.number_bytes())?;
+        let (needed_bytes, budget_bytes) = (self.fixed_bytes() + self.number_bytes() + BAND_BYTES, self.budget_bytes);
+        match needed_bytes <= budget_bytes {
+            true => Ok(()),
+            false => Err(GpuError::OverBudget { what: "the parameter map", needed_bytes, budget_bytes }),
+        }
+    }
+
+    fn ensure_numbers(&mut self, pages: &CountingSource<'_>) -> Result<usize, RenderError> {
+        let count = self.map.page_count() as u64;
+        if self.numbers.is_some() {
+            self.stats.look_ups += count;
+            self.stats.hits += count;
+            return Ok(0);
+        }
+        self.check_budget()?;
+        let usage = wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST;
+        let description = wgpu::BufferDescriptor { label: Some("numbers"), size: self.number_bytes(), usage, mapped_at_creation: false };
+        let buffer = self.gpu.device().create_buffer(&description);
+        self.gpu.check()?;
+        for page in 0..count as u32 {
+            let texels = pages.page(PageId(page))?;
+            self.map.check_page(page, texels.shape())?;
+            self.gpu.queue().write_buffer(&buffer, u64::from(page) * texels.bytes().len() as u64, texels.bytes());
+            // Writes wait in memory until they are submitted.
+            self.gpu.queue().submit([]);
+        }
+        let [triangles, vertices] = self.rasterizer.object_buffers();
+        let resources = [triangles, vertices, &self.shading, &self.texels, &buffer, &self.recurrence];
+        let resources = self.shader.bind(&self.gpu, 1, &resources.map(wgpu::Buffer::as_entire_binding));
+        self.numbers = Some(Numbers { buffer, resources });
+        self.stats.look_ups += count;
+        self.stats.misses += count;
+        self.stats.uploads += count;
+        self.stats.bytes_uploaded += self.number_bytes();
+        Ok(count as usize)
+    }
+
+    fn draw_band(
+        &mut self,
+        request: &FrameRequest<'_>,
+        (first_row, rows): (u32, u32),
+        output: &mut FrameOutput,
+        stats: &mut GpuFrameStats,
+    ) -> Result<(), RenderError> {
+        let begin = Instant::now();
+        let width = request.camera.intrinsics().width_px;
+        BoundBand::ensure(&mut self.band, &self.gpu, (&self.rasterizer, &self.shader), (width, rows))?;
+        let (bound, numbers) = (self.band.as_ref().expect("made above"), self.numbers.as_ref().expect("made before"));
+        let mut encoder = self.gpu.device().create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("frame") });
+        self.rasterizer.draw(&self.gpu, &mut encoder, request.camera, first_row, &bound.band)?;
+        let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+        pass.set_bind_group(0, &bound.resources, &[]);
+        pass.set_bind_group(1, &numbers.resources, &[]);
+        pass.set_pipeline(&self.pipeline);
+        bound.band.dispatch_over_object(&mut pass);
+        drop(pass);
+        FrameOutput::copy(request.outputs, &mut encoder, &bound.band, &bound.read_back);
+        self.gpu.queue().submit([encoder.finish()]);
+        self.gpu.wait()?;
+        stats.gpu_millis += millis_since(begin);
+        let begin = Instant::now();
+        output.read(&self.gpu, &bound.band, &bound.read_back)?;
+        stats.read_back_millis += millis_since(begin);
+        Ok(())
+    }
+
+    fn forget_numbers(&mut self) {
+        if self.numbers.take().is_some() {
+            self.stats.evictions += self.map.page_count() as u64;
+        }
+        self.band = None;
+    }
+}
+
+impl GpuKernel for Kernel {
+    fn render(&mut self, request: &FrameRequest<'_>, pages: &CountingSource<'_>) -> Result<(Pixels, GpuFrameStats), RenderError> {
+        let AnySettings::ParameterMap(settings) = request.settings else {
+            return Err(RenderError::OtherKind { settings: request.settings.kind() });
+        };
+        let begin = Instant::now();
+        let mut stats = GpuFrameStats { passes: 1, ..GpuFrameStats::default() };
+        let bands = bands(&self.gpu, request.camera)?;
+        stats.pages_uploaded = self.ensure_numbers(pages)?;
+        stats.pages_millis = millis_since(begin);
+        let half_precision = u32::from(self.map.parameters.pixel_format == PixelFormat::F16);
+        let show_what = match settings.show {
+            Show::Radiance => 0,
+            Show::Models => 1,
+            Show::Flags => 2,
+        };
+        let uniform = ShadingUniform { size: self.map.texels.size as u32, show_what, half_precision, padding: 0 };
+        self.gpu.queue().write_buffer(&self.shading, 0, bytemuck::bytes_of(&uniform));
+        let mut output = FrameOutput::new(request);
+        for band in bands {
+            self.draw_band(request, band, &mut output, &mut stats)?;
+        }
+        Ok((output.into_pixels(self.map.page_count(), true), stats))
+    }
+
+    // All pages come with the first frame.
+    fn look_ahead(&mut self, _request: &FrameRequest<'_>, _upload_bytes: u64) -> Result<Vec<PageId>, RenderError> {
+        Ok(Vec::new())
+    }
+
+    fn bring_ahead(&mut self, _pages: &[(PageId, Arc<Page>)]) -> Result<usize, RenderError> {
+        Ok(0)
+    }
+
+    // Nothing leaves for others.
+    fn set_policy(&mut self, _kind: PolicyKind) {}
+
+    fn set_upload_unit(&mut self, _unit: UploadUnit) {}
+
+    fn set_budget(&mut self, budget_bytes: u64) {
+        self.budget_bytes = budget_bytes;
+        if self.check_budget().is_err() {
+            self.forget_numbers();
+        }
+    }
+
+    fn bytes(&self) -> u64 {
+        let band = self.band.as_ref().map_or(0, |b| u64::from(b.band.pixels().min(MAX_BAND_PIXELS)) * BYTES_PER_PIXEL);
+        self.fixed_bytes() + band + self.numbers.as_ref().map_or(0, |n| n.buffer.size())
+    }
+
+    fn stats(&self) -> GpuCacheStats {
+        let (pages, bytes) = self.numbers.as_ref().map_or((0, 0), |n| (self.map.page_count() as u64, n.buffer.size()));
+        GpuCacheStats { resident_pages: pages, resident_bytes: bytes, device_bytes: self.bytes(), ..self.stats }
+    }
+}
+
+fn millis_since(begin: Instant) -> f64 {
+    1e3 * begin.elapsed().as_secs_f64()
+}
