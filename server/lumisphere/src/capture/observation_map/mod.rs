@@ -34,6 +34,8 @@ pub const TEXELS_PER_PAGE: usize = 64;
 pub const MOST_OBSERVATIONS: u32 = 4096;
 /// Most texels along the edge of a part.
 pub const MOST_TEXELS_PER_EDGE: u32 = 4096;
+/// Most texels of all parts together: what is held of each in memory is some forty bytes.
+pub const MOST_TEXELS: u64 = 1 << 24;
 
 /// A dataset version of this kind, without its pages.
 #[derive(Debug, Clone)]

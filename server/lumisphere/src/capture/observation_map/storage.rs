@@ -1,6 +1,6 @@
 //! The named parts of an observation map beside its pages.
 
-use super::{MOST_OBSERVATIONS, MOST_TEXELS_PER_EDGE, ObservationMap, ObservationParameters, ObservedTexel, Observer};
+use super::{MOST_OBSERVATIONS, MOST_TEXELS, MOST_TEXELS_PER_EDGE, ObservationMap, ObservationParameters, ObservedTexel, Observer};
 use crate::capture::parts::{PartsError, decode, encode};
 
 // Not a part but checked with them.
@@ -33,7 +33,7 @@ pub fn from_parts<E: From<PartsError>>(
         texels: decode(TEXELS, &part(TEXELS)?)?,
     };
     for (part, outcome) in [
-        (PARAMETERS, check_parameters(&map.parameters)),
+        (PARAMETERS, check_parameters(&map.parameters, map.surface.parts)),
         (SURFACE, map.surface.check()),
         (BACKGROUND, map.background.check()),
         (OBSERVERS, check_observers(&map.observers)),
@@ -44,10 +44,14 @@ pub fn from_parts<E: From<PartsError>>(
     Ok(map)
 }
 
-fn check_parameters(parameters: &ObservationParameters) -> Result<(), String> {
-    match (1..=MOST_TEXELS_PER_EDGE).contains(&parameters.size_texels) {
+fn check_parameters(parameters: &ObservationParameters, parts: u32) -> Result<(), String> {
+    let size = parameters.size_texels;
+    let all = u64::from(parts) * u64::from(size).pow(2);
+    match (1..=MOST_TEXELS_PER_EDGE).contains(&size) && all <= MOST_TEXELS {
         true => Ok(()),
-        false => Err(format!("{} texels along an edge, 1 to {MOST_TEXELS_PER_EDGE} expected", parameters.size_texels)),
+        false => {
+            Err(format!("{size} texels along an edge of {parts} parts, 1 to {MOST_TEXELS_PER_EDGE} and {MOST_TEXELS} in all expected"))
+        }
     }
 }
 

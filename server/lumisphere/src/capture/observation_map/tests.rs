@@ -5,7 +5,7 @@ use glam::Vec3;
 use super::*;
 use crate::capture::PartsError;
 use crate::progress::Unattended;
-use crate::scenes::{LoadOptions, Scene, SceneBundle, load};
+use crate::scenes::{BuiltinOptions, LoadOptions, Scene, SceneBundle, builtin, load};
 use crate::textures::{Codec, DatasetVersion, PageId, Publication, Store, StoreOptions};
 
 /// A dull square in the plane y = 0, a wall beside it that hides it from some cameras.
@@ -154,6 +154,11 @@ fn senseless_settings_are_named() {
     let refused = |settings: ObserveSettings| observe(&scene(""), &settings, &staging, &Unattended).unwrap_err().to_string();
     assert_eq!(refused(ObserveSettings { object: "pot".into(), ..settings() }), r#"scene has no object "pot"; it has plane"#);
     assert_eq!(refused(ObserveSettings { size_texels: 0, ..settings() }), "texels along an edge is 0, 1 to 4096 expected");
+    // The gazebo's teapot has 28 parts and more: with 1024² texels each they would not fit into memory.
+    let gazebo = builtin("gazebo", &BuiltinOptions::small()).unwrap();
+    let teapot = ObserveSettings { object: "teapot".into(), size_texels: 1024, ..settings() };
+    let many = observe(&gazebo, &teapot, &staging, &Unattended).unwrap_err().to_string();
+    assert!(many.starts_with("texels along an edge is 1024, at most 16777216 in its"), "{many}");
     let near = ObserveSettings { distance_radii: f32::NAN, ..settings() };
     assert_eq!(refused(near), "distance in radii is NaN, a finite number above 1 expected");
     let aslant = ObserveSettings { axis: Some(Vec3::splat(1.0)), ..settings() };

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use thiserror::Error;
 
 use super::{MOST_OBSERVATIONS, MOST_TEXELS_PER_EDGE, Observation, ObservationMap, ObservationParameters, ObservedTexel, Observer, State};
-use super::{TEXELS_PER_PAGE, tiled_order, to_parts};
+use super::{MOST_TEXELS, TEXELS_PER_PAGE, tiled_order, to_parts};
 use crate::capture::{PartsError, SurfaceMesh, SurfaceTexel, bake_background, surface_texels};
 use crate::directions::Scheme;
 use crate::geometry::{Ray, TangentFrame};
@@ -125,6 +125,11 @@ pub fn observe(
     let (center, radius) = (0.5 * (low + high), 0.5 * (high - low).length());
     let tracer = Tracer::new(scene)?;
     let surface = SurfaceMesh::of(object);
+    let all = u64::from(surface.parts) * u64::from(settings.size_texels).pow(2);
+    if all > MOST_TEXELS {
+        let (value, expected) = (settings.size_texels.to_string(), format!("at most {MOST_TEXELS} in its {} parts", surface.parts));
+        return Err(ObserveError::Setting { setting: "texels along an edge", value, expected });
+    }
     let axis = settings.axis.unwrap_or_else(|| mean_normal(&surface));
     let observers = cameras(settings, axis, center, radius);
     let trace =

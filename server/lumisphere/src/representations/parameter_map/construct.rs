@@ -45,7 +45,7 @@ pub struct FitSummary {
     pub histogram: BTreeMap<String, u64>,
     /// How many have which flag.
     pub flags: BTreeMap<&'static str, u64>,
-    /// Of the fits of this run: root mean square of what the models leave, over all observations.
+    /// Of the fits of this run: root mean square of what the models leave of observations that are not clipped.
     pub rms_residual: f64,
 }
 

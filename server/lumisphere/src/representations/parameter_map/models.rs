@@ -96,7 +96,11 @@ pub(super) fn fit_texels(observed: &[Observed<'_>], models: AllowedModels, noise
     }
     let settings = Settings { outliers: Outliers::Keep, ..Settings::new(choice, noise) };
     let outcomes = fit_with(&batch, &settings, Some(&HarmonicsRung::new())).expect("checked where they were parsed");
-    observed.iter().zip(&outcomes).map(|((texel, seen), outcome)| packed(texel, seen, outcome)).collect()
+    let one = |((texel, seen), outcome): (&Observed<'_>, &Outcome)| match outcome.fit() {
+        Some(fit) => packed(texel, seen, Some(&fit.model), fit.flags),
+        None => packed(texel, seen, None, Flags::NONE),
+    };
+    observed.iter().zip(&outcomes).map(one).collect()
 }
 
 fn state(state: Seen) -> State {
@@ -106,14 +110,22 @@ fn state(state: Seen) -> State {
     }
 }
 
-fn packed(texel: &ObservedTexel, seen: &[([f32; 3], Observation)], outcome: &Outcome) -> FittedTexel {
-    let nothing =
-        FittedTexel { index: texel.index, code: ModelCode::NONE, flags: Flags::NONE, quads: Vec::new(), sum_of_squares: 0.0, samples: 0 };
-    let Some(fit) = outcome.fit() else { return nothing };
-    let samples = 3 * seen.iter().filter(|(_, o)| o.state != Seen::Missing).count() as u64;
-    let (code, quads) = ModelCode::pack(&fit.model);
-    let sum_of_squares = f64::from(fit.rms_residual).powi(2) * samples as f64;
-    FittedTexel { code, flags: fit.flags, quads, sum_of_squares, samples, ..nothing }
+/// A texel with its model, or with none.
+fn packed(texel: &ObservedTexel, seen: &[([f32; 3], Observation)], model: Option<&Model>, flags: Flags) -> FittedTexel {
+    let (code, quads) = model.map_or((ModelCode::NONE, Vec::new()), ModelCode::pack);
+    let mut fitted = FittedTexel { index: texel.index, code, flags, quads, sum_of_squares: 0.0, samples: 0 };
+    let Some(model) = model else { return fitted };
+    for (direction, observation) in seen.iter().filter(|entry| is_whole(entry)) {
+        let said = model.eval(*direction);
+        fitted.sum_of_squares += (0..3).map(|c| f64::from(said[c] - observation.radiance[c]).powi(2)).sum::<f64>();
+        fitted.samples += 3;
+    }
+    fitted
+}
+
+// Seen from above the horizon, no channel clipped.
+fn is_whole((direction, observation): &([f32; 3], Observation)) -> bool {
+    direction[2] > 0.0 && observation.state == Seen::Seen { clipped: 0 }
 }
 
 /// Hemispherical harmonics, penalised as cross-validation says and nowhere negative. Clipped observations are left out; all others weigh the same,
@@ -124,26 +136,16 @@ fn harmonics(observed: &[Observed<'_>], count: u32) -> Vec<FittedTexel> {
 }
 
 fn harmonics_of(texel: &ObservedTexel, seen: &[([f32; 3], Observation)], solver: &OwnDirectionsFit) -> FittedTexel {
-    let nothing =
-        FittedTexel { index: texel.index, code: ModelCode::NONE, flags: Flags::NONE, quads: Vec::new(), sum_of_squares: 0.0, samples: 0 };
-    let axis = |k: usize| seen.iter().map(|(direction, _)| direction[k]).collect::<Vec<f32>>();
-    let channel = |c: usize| seen.iter().map(|(_, o)| o.radiance[c]).collect::<Vec<f32>>();
-    let (directions, values) = ([0, 1, 2].map(axis), [0, 1, 2].map(channel));
-    let weights: Vec<f32> =
-        seen.iter().map(|(direction, o)| f32::from(u8::from(direction[2] > 0.0 && o.state == Seen::Seen { clipped: 0 }))).collect();
+    let whole: Vec<&([f32; 3], Observation)> = seen.iter().filter(|entry| is_whole(entry)).collect();
+    let axis = |k: usize| whole.iter().map(|(direction, _)| direction[k]).collect::<Vec<f32>>();
+    let channel = |c: usize| whole.iter().map(|(_, o)| o.radiance[c]).collect::<Vec<f32>>();
+    let (directions, values, weights) = ([0, 1, 2].map(axis), [0, 1, 2].map(channel), vec![1.0; whole.len()]);
     let samples =
         Samples { directions: directions.each_ref().map(Vec::as_slice), values: values.each_ref().map(Vec::as_slice), weights: &weights };
-    let Ok(fit) = solver.fit(samples, Penalty::CrossValidated, Sign::NotNegative) else { return nothing };
-    let model = Model::Harmonics { basis: Basis::Hemispherical, coefficients: fit.coefficients };
-    let used = seen.iter().zip(&weights).filter(|(_, w)| **w > 0.0).map(|(entry, _)| entry);
-    let residuals = used.clone().map(|(direction, o)| {
-        let said = model.eval(*direction);
-        (0..3).map(|c| f64::from(said[c] - o.radiance[c]).powi(2)).sum::<f64>()
-    });
-    let (sum_of_squares, samples) = (residuals.sum(), 3 * used.count() as u64);
+    let fit = solver.fit(samples, Penalty::CrossValidated, Sign::NotNegative).ok();
+    let model = fit.map(|fit| Model::Harmonics { basis: Basis::Hemispherical, coefficients: fit.coefficients });
     let is_clipped = seen.iter().any(|(_, o)| matches!(o.state, Seen::Seen { clipped } if clipped != 0));
-    let (code, quads) = ModelCode::pack(&model);
-    FittedTexel { code, flags: if is_clipped { Flags::CLIPPED } else { Flags::NONE }, quads, sum_of_squares, samples, ..nothing }
+    packed(texel, seen, model.as_ref(), if is_clipped { Flags::CLIPPED } else { Flags::NONE })
 }
 
 /// What `auto` tries last, where lobes leave more than noise: numbers of hemispherical harmonics.
