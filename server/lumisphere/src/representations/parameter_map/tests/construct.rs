@@ -102,17 +102,19 @@ fn everything_of(version: &DatasetVersion) -> (Vec<Vec<f32>>, Vec<u8>) {
     (pages, version.blob("texels").unwrap())
 }
 
+// With twelve quads a texel, so that there are several pages of them and batches end within one.
 fn fitted(store: &Store, dataset: &str, interruptions: &[usize]) -> Arc<DatasetVersion> {
+    let settings = ConstructSettings { models: "sh:16".parse().unwrap(), ..settings() };
     let (map, pages) = observations();
     let read = |page: PageId| Ok::<_, StoreError>(pages[page.0 as usize].clone());
     store.create_dataset(dataset).unwrap();
     let stage = || store.stage(dataset, "token").unwrap();
     for at in interruptions {
         let progress = CancelAt(*at, AtomicUsize::new(0));
-        assert!(matches!(construct(&map, &read, "sheet", &settings(), &stage(), &progress), Err(FitError::Cancelled(_))));
+        assert!(matches!(construct(&map, &read, "sheet", &settings, &stage(), &progress), Err(FitError::Cancelled(_))));
     }
     let staging: Staging = stage();
-    construct(&map, &read, "sheet", &settings(), &staging, &Unattended).unwrap();
+    construct(&map, &read, "sheet", &settings, &staging, &Unattended).unwrap();
     staging.publish(publication()).unwrap()
 }
 
@@ -165,8 +167,9 @@ fn a_fit_that_is_stopped_anywhere_and_goes_on_gives_the_same_bytes() {
     let folder = tempfile::tempdir().unwrap();
     let (store, _) = Store::open(folder.path(), StoreOptions::local()).unwrap();
     let whole = everything_of(&fitted(&store, "whole", &[]));
-    // 50 pages of observations, 32 a batch: before any, after the first, and twice.
-    for (i, interruptions) in [vec![0], vec![1], vec![1, 1], vec![0, 1, 0]].iter().enumerate() {
+    assert_eq!(whole.0.len(), 3);
+    // 50 pages of observations, 32 a batch: before any, after the first, with a page of numbers stored and the next begun, and twice.
+    for (i, interruptions) in [vec![0], vec![1], vec![0, 1], vec![1, 0]].iter().enumerate() {
         let resumed = everything_of(&fitted(&store, &format!("resumed-{i}"), interruptions));
         assert!(resumed == whole, "{interruptions:?}");
     }
