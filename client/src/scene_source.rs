@@ -20,7 +20,7 @@ use crate::upload::{Blob, upload};
 /// Geometry, materials and light.
 #[derive(Debug, Clone, Args)]
 pub struct SceneFlags {
-    /// A scene that ships with the server (gazebo, furnace, six_colours), or a file: neutral-scene/1 .json, .glb, .gltf or .obj
+    /// A scene that ships with the server (gazebo, patchwork, glossy_plane, furnace, six_colours), or a file: neutral-scene/1 .json, .glb, .gltf or .obj
     #[arg(long, value_name = "FILE|NAME")]
     pub scene: String,
     /// Parameter of a scene that ships with the server; may be repeated
