@@ -232,6 +232,7 @@ impl From<FitError> for ApiError {
     fn from(error: FitError) -> Self {
         match error {
             FitError::PageShape { .. } => Self::new(Reason::DataCorrupt, error.to_string()),
+            FitError::Settings(_) | FitError::Harmonics(_) => Self::field("spec.fit", error),
             FitError::TooLarge { .. } => Self::field("spec.fit.models", error),
             FitError::Cancelled(error) => error.into(),
             FitError::Store(error) => error.into(),

@@ -22,7 +22,7 @@ use super::{Background, SurfaceMesh};
 use crate::geometry::TangentFrame;
 use crate::textures::{Page, PageShape, PixelFormat};
 
-pub use photographs::{ImportError, ImportSettings, RadiancePhotograph, Response, import, rectangle};
+pub use photographs::{ImportError, ImportSettings, RadiancePhotograph, Response, import};
 pub use storage::{from_parts, to_parts};
 pub use virtual_photographs::{Coverage, ObserveError, ObserveSettings, observe};
 

@@ -6,6 +6,8 @@
 //!
 //! Texels are resampled in bands that fit into memory, each from all photographs in turn, so memory does not grow with the map.
 
+use std::ops::RangeInclusive;
+
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 use thiserror::Error;
@@ -141,6 +143,8 @@ pub enum ImportError {
     Parts(#[from] PartsError),
 }
 
+// Of the rectangle: the square of an area neither vanishes nor overflows.
+const LENGTHS: RangeInclusive<f32> = 1e-9..=1e9;
 // Entries of a band in memory: 2²⁴ of 16 bytes.
 const BAND_ENTRIES: usize = 1 << 24;
 
@@ -191,11 +195,12 @@ pub fn import(
     Ok(map.parameters)
 }
 
-/// The rectangle of that width and height.
-pub fn rectangle([width, height]: [f32; 2]) -> SurfaceMesh {
+// The rectangle of that width and height, both of LENGTHS.
+fn rectangle([width, height]: [f32; 2]) -> SurfaceMesh {
     let corners = [Vec2::ZERO, Vec2::X, Vec2::ONE, Vec2::Y];
     let positions = corners.map(|c| ((c - 0.5) * Vec2::new(width, height)).extend(0.0)).to_vec();
-    let mesh = TriangleMesh::new(positions, vec![Vec3::Z; 4], corners.to_vec(), vec![[0, 1, 2], [0, 2, 3]]).expect("a rectangle");
+    let mesh = TriangleMesh::new(positions, vec![Vec3::Z; 4], corners.to_vec(), vec![[0, 1, 2], [0, 2, 3]])
+        .expect("such lengths have an area in f32");
     SurfaceMesh { mesh, part_of_triangle: vec![0, 0], parts: 1 }
 }
 
@@ -208,8 +213,8 @@ fn check(views: &[(String, PhotographView)], settings: &ImportSettings) -> Resul
         return refuse("number of photographs", views.len().to_string(), format!("1 to {MOST_OBSERVATIONS}"));
     }
     for (setting, length) in ["width", "height"].into_iter().zip(settings.size) {
-        if !(length > 0.0 && length.is_finite()) {
-            return refuse(setting, length.to_string(), "a length above 0".into());
+        if !LENGTHS.contains(&length) {
+            return refuse(setting, length.to_string(), format!("a length from {:e} to {:e}", LENGTHS.start(), LENGTHS.end()));
         }
     }
     for (file, view) in views {
@@ -433,6 +438,27 @@ mod tests {
         let camera = PhotographCamera { file: "b".into(), camera, distortion: Distortion::new([0.0; 4]).unwrap() };
         let behind = imported(&[("b".into(), PhotographView::Calibrated(camera))], &[ramp(40, 20, 0.5)]).unwrap_err();
         assert!(behind.to_string().starts_with("the camera of photograph b is at [0, 0, -2]"), "{behind}");
+    }
+
+    #[test]
+    fn a_rectangle_too_small_or_large_to_have_an_area_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let (store, _) = Store::open(folder.path(), StoreOptions::local()).unwrap();
+        store.create_dataset("seen").unwrap();
+        let staging = store.stage("seen", "token").unwrap();
+        let load = |_: usize| Ok(ramp(4, 4, 0.5));
+        let of_size = |size| import(&[rectified(1.0)], &load, &ImportSettings { size, ..settings() }, &staging, &Unattended);
+        assert_eq!(
+            of_size([1e-30, 1.0]).unwrap_err().to_string(),
+            "width is 0.000000000000000000000000000001, a length from 1e-9 to 1e9 expected"
+        );
+        for size in [[1.0, 1e30], [f32::NAN, 1.0], [1.0, 0.0], [-1.0, 1.0], [f32::INFINITY, 1.0]] {
+            assert!(of_size(size).unwrap_err().to_string().contains("a length from"), "{size:?}");
+        }
+        // Both ends have one.
+        for size in [[1e-9; 2], [1e9; 2]] {
+            assert!(rectangle(size).mesh.triangles.len() == 2);
+        }
     }
 
     #[test]

@@ -15,7 +15,8 @@ use super::{ModelCode, ParameterMap, Parameters, QUADS_PER_PAGE, TexelTable, tex
 use crate::capture::PartsError;
 use crate::capture::observation_map::{Observation, ObservationMap, ObservedTexel, State, TEXELS_PER_PAGE};
 use crate::capture::parts::{decode, encode};
-use crate::fitting::{Flags, Noise};
+use crate::fitting::harmonics::HarmonicsFitError;
+use crate::fitting::{Flags, Noise, SettingsError};
 use crate::progress::{Cancelled, Progress};
 use crate::textures::{Codec, Page, PageId, PixelFormat, Staging, StoreError, encode_as};
 
@@ -64,6 +65,12 @@ pub enum FitError {
         /// Columns and rows.
         expected: (u32, u32),
     },
+    /// No fit can be made with such models or noise.
+    #[error(transparent)]
+    Settings(#[from] SettingsError),
+    /// No fit can be made with so many harmonics.
+    #[error(transparent)]
+    Harmonics(#[from] HarmonicsFitError),
     /// Models would take more numbers than can be counted.
     #[error("the models of {texels} texels take more numbers than can be counted: fewer texels or smaller models expected")]
     TooLarge {
@@ -150,7 +157,7 @@ fn fit_page(
     let columns = map.texels_of_page(page);
     let observed =
         columns.iter().enumerate().map(|(column, texel)| (texel, observations_of(map, texel, &pixels, column))).collect::<Vec<_>>();
-    Ok(fit_texels(&observed, models, noise))
+    fit_texels(&observed, models, noise)
 }
 
 fn read_page(map: &ObservationMap, read: &ReadObservations<'_>, page: usize) -> Result<std::sync::Arc<Page>, FitError> {

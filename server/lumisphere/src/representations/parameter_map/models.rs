@@ -6,7 +6,7 @@ use std::str::FromStr;
 use rayon::prelude::*;
 use thiserror::Error;
 
-use super::{ModelCode, Quads};
+use super::{FitError, ModelCode, Quads};
 use crate::capture::observation_map::{Observation, ObservedTexel, State as Seen};
 use crate::fitting::harmonics::{OwnDirectionsFit, Penalty, Samples, Sign};
 use crate::fitting::{
@@ -81,7 +81,7 @@ pub(super) struct FittedTexel {
 pub(super) type Observed<'a> = (&'a ObservedTexel, Vec<([f32; 3], Observation)>);
 
 /// The models of some texels, in order. A texel that nobody saw has none.
-pub(super) fn fit_texels(observed: &[Observed<'_>], models: AllowedModels, noise: Noise) -> Vec<FittedTexel> {
+pub(super) fn fit_texels(observed: &[Observed<'_>], models: AllowedModels, noise: Noise) -> Result<Vec<FittedTexel>, FitError> {
     let choice = match models {
         AllowedModels::Auto => Choice::Auto { lobes_at_most: MOST_LOBES },
         AllowedModels::Constant => Choice::Exactly(Rung::Constant),
@@ -95,12 +95,12 @@ pub(super) fn fit_texels(observed: &[Observed<'_>], models: AllowedModels, noise
         batch.push(&directions, &values, &states).expect("three vectors of one length");
     }
     let settings = Settings { outliers: Outliers::Keep, ..Settings::new(choice, noise) };
-    let outcomes = fit_with(&batch, &settings, Some(&HarmonicsRung::new())).expect("checked where they were parsed");
+    let outcomes = fit_with(&batch, &settings, Some(&HarmonicsRung::new()))?;
     let one = |((texel, seen), outcome): (&Observed<'_>, &Outcome)| match outcome.fit() {
         Some(fit) => packed(texel, seen, Some(&fit.model), fit.flags),
         None => packed(texel, seen, None, Flags::NONE),
     };
-    observed.iter().zip(&outcomes).map(one).collect()
+    Ok(observed.iter().zip(&outcomes).map(one).collect())
 }
 
 fn state(state: Seen) -> State {
@@ -130,9 +130,9 @@ fn is_whole((direction, observation): &([f32; 3], Observation)) -> bool {
 
 /// Hemispherical harmonics, penalised as cross-validation says and nowhere negative. Clipped observations are left out; all others weigh the same,
 /// since what few harmonics cannot say is more than noise.
-fn harmonics(observed: &[Observed<'_>], count: u32) -> Vec<FittedTexel> {
-    let solver = OwnDirectionsFit::new(Basis::Hemispherical, count as usize).expect("checked where they were parsed");
-    observed.par_iter().map(|(texel, seen)| harmonics_of(texel, seen, &solver)).collect()
+fn harmonics(observed: &[Observed<'_>], count: u32) -> Result<Vec<FittedTexel>, FitError> {
+    let solver = OwnDirectionsFit::new(Basis::Hemispherical, count as usize)?;
+    Ok(observed.par_iter().map(|(texel, seen)| harmonics_of(texel, seen, &solver)).collect())
 }
 
 fn harmonics_of(texel: &ObservedTexel, seen: &[([f32; 3], Observation)], solver: &OwnDirectionsFit) -> FittedTexel {

@@ -11,7 +11,7 @@ use crate::capture::{Background, surface_texels};
 use crate::directions::Scheme;
 use crate::fitting::{Basis, Lobe, Model};
 use crate::progress::{Progress, Unattended};
-use crate::representations::parameter_map::{ConstructSettings, FitError, ModelCode, construct};
+use crate::representations::parameter_map::{AllowedModels, ConstructSettings, FitError, ModelCode, construct};
 use crate::scenes::Environment;
 use crate::textures::{Codec, DatasetVersion, Page, PageId, PixelFormat, Publication, Staging, Store, StoreError, StoreOptions};
 
@@ -173,6 +173,21 @@ fn a_fit_that_is_stopped_anywhere_and_goes_on_gives_the_same_bytes() {
         let resumed = everything_of(&fitted(&store, &format!("resumed-{i}"), interruptions));
         assert!(resumed == whole, "{interruptions:?}");
     }
+}
+
+#[test]
+fn models_and_noise_that_no_fit_can_be_made_with_are_named() {
+    let (map, pages) = observations();
+    let folder = tempfile::tempdir().unwrap();
+    let (store, _) = Store::open(folder.path(), StoreOptions::local()).unwrap();
+    store.create_dataset("map").unwrap();
+    let staging = store.stage("map", "token").unwrap();
+    let read = |page: PageId| Ok::<_, StoreError>(pages[page.0 as usize].clone());
+    let refused = |settings: ConstructSettings| construct(&map, &read, "sheet", &settings, &staging, &Unattended).unwrap_err().to_string();
+    assert!(refused(ConstructSettings { models: AllowedModels::Phong(9), ..settings() }).starts_with("9 lobes"));
+    assert!(refused(ConstructSettings { models: AllowedModels::Harmonics(5), ..settings() }).starts_with("5 spherical harmonics"));
+    assert!(refused(ConstructSettings { noise_floor: Some(f32::NAN), ..settings() }).starts_with("noise floor NaN"));
+    assert!(refused(ConstructSettings { relative_noise: -1.0, ..settings() }).starts_with("relative noise -1"));
 }
 
 #[test]
