@@ -83,8 +83,7 @@ pub struct FrameStats {
 }
 
 // Of each dataset in use, least recently used first.
-type Kernels<K> = VecDeque<Entry<K>>;
-type Entry<K> = (Arc<dyn Representation>, K);
+type Kernels<K> = VecDeque<(Arc<dyn Representation>, K)>;
 
 /// Renders frames of any dataset.
 pub struct Renderer {
@@ -218,12 +217,12 @@ impl Renderer {
         let side = self.gpu.as_ref().ok_or(RenderError::NoGpu)?;
         let begin = Instant::now();
         let mut tier = side.tier();
-        let mut entry = tier.take(&side.gpu, representation)?;
+        let mut resident = tier.take(&side.gpu, representation, pages.version_slot())?;
         let prepare_millis = millis_since(begin);
         let pages = CountingSource::new(pages);
-        let outcome = entry.1.render(request, &pages);
-        let device_bytes = entry.1.bytes();
-        tier.put_back(entry);
+        let outcome = resident.kernel.render(request, &pages);
+        let device_bytes = resident.kernel.bytes();
+        tier.put_back(resident);
         drop(tier);
         if outcome.is_err() {
             side.gpu.release_dropped();
@@ -268,9 +267,9 @@ impl Renderer {
     ) -> Result<T, RenderError> {
         let Some(side) = &self.gpu else { return Ok(T::default()) };
         let mut tier = side.tier();
-        let Some(mut entry) = tier.take_known(representation) else { return Ok(T::default()) };
-        let outcome = work(&mut entry.1);
-        tier.put_back(entry);
+        let Some(mut resident) = tier.take_known(representation) else { return Ok(T::default()) };
+        let outcome = work(&mut resident.kernel);
+        tier.put_back(resident);
         outcome
     }
 
@@ -280,10 +279,10 @@ impl Renderer {
         side.tier().set_budget(budget_bytes);
     }
 
-    /// The peak of [`Self::gpu_stats`] begins anew with what is held now. Nothing without a GPU.
-    pub fn forget_gpu_peak(&self) {
+    /// The peaks of [`Self::gpu_stats`] and of its parts begin anew with what is held now. Nothing without a GPU.
+    pub fn forget_gpu_peaks(&self) {
         let Some(side) = &self.gpu else { return };
-        side.tier().forget_peak();
+        side.tier().forget_peaks();
     }
 
     /// Changes which pages leave the device when others need their place. Nothing without a GPU.
@@ -307,6 +306,12 @@ impl Renderer {
     /// Counters of the device's tier since the renderer was made, all of the same moment; None without a GPU.
     pub fn gpu_stats(&self) -> Option<GpuCacheStats> {
         self.gpu.as_ref().map(|side| side.tier().stats())
+    }
+
+    /// The same by dataset version, [`DatasetVersion::slot`](crate::textures::DatasetVersion::slot) ascending: every one that was ever on the
+    /// device. Their sums are [`Self::gpu_stats`]; the budget is everyone's, and a peak is the version's own.
+    pub fn gpu_stats_by_version(&self) -> Vec<(u32, GpuCacheStats)> {
+        self.gpu.as_ref().map(|side| side.tier().stats_by_version().collect()).unwrap_or_default()
     }
 
     /// Held on the device by all datasets together.

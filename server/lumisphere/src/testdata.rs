@@ -1,6 +1,7 @@
 //! What tests of several modules share: data of the library's own, the data pack, which tests pass without, and statistics.
 
 pub mod chi_squared;
+pub mod golden;
 
 use std::io::Write;
 use std::path::{Path, PathBuf};

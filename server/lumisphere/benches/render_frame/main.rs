@@ -1,10 +1,11 @@
 //! A 640 × 480 frame of the captured teapot in the gazebo, on the GPU (lavapipe where there is no other) and on the CPU, in milliseconds:
 //! wall clock, the whole process's CPU time a frame (what counts where others use the machine, too), and the GPU's stages.
 //!
-//! `cargo bench -p lumisphere --bench render_frame [-- FACE_SIZE [POINTS]] [gpu | cpu | paging | equal_error] [bilinear]`, by default 128 texels, 300 points and both
-//! backends; `paging` measures uploads under a cap instead, `bilinear` reads without filtering. The capture (one path a texel: noise costs no time) is kept in `target/render_frame` for the next run.
+//! `cargo bench -p lumisphere --bench render_frame [-- FACE_SIZE [POINTS]] [gpu | cpu | paging | counting | equal_error] [bilinear]`, by default 128 texels, 300 points and both
+//! backends; `paging` measures uploads under a cap instead, `counting` what the texture cache's counters cost a frame, `bilinear` reads without filtering. The capture (one path a texel: noise costs no time) is kept in `target/render_frame` for the next run.
 //! `equal_error` sets mirror frames beside path-traced ones of the same error instead (a capture of 8 paths a texel, 160 points, unless numbers say otherwise).
 
+mod counting;
 mod equal_error;
 
 use std::path::PathBuf;
@@ -57,6 +58,20 @@ fn main() {
     let cameras: Vec<Camera> = (0..RUNS).map(|k| orbit(center, radius, k)).collect();
     if std::env::args().any(|a| a == "paging") {
         return report_paging(&field, &version, faces, center, radius);
+    }
+    if std::env::args().any(|a| a == "counting") {
+        let settings = |component, filter| {
+            let blend = Blend::Normal { exponent: 4.0 };
+            Settings::OffsetSurfaceLightField(OslfSettings { component, blend, specular_reflectance: Vec3::ONE, filter })
+        };
+        for (what, component, filter) in [
+            ("full", Component::Full, Filter::Footprint),
+            ("mirror", Component::Mirror, Filter::Footprint),
+            ("mirror, bilinear", Component::Mirror, Filter::Bilinear),
+        ] {
+            counting::report(what, &field, &pages, &settings(component, filter), &cameras);
+        }
+        return;
     }
     println!("component      blend            backend   first    best  median    95 %     CPU  pages  (median: gpu, read back)");
     for (component, blend) in [
@@ -201,6 +216,10 @@ struct SlowPages {
 }
 
 impl PageSource for SlowPages {
+    fn version_slot(&self) -> u32 {
+        self.pages.version_slot()
+    }
+
     fn page(&self, page: PageId) -> Result<Fetched, StoreError> {
         let fetched = self.pages.page(page)?;
         if !fetched.was_resident {

@@ -20,7 +20,7 @@ use crate::images::{ImageError, Rgb8, encode_png};
 
 use lettering::Lettered;
 
-pub use lines::{Line, LineChart};
+pub use lines::{Axes, Line, LineChart};
 pub use scatter::{Mark, Panel, Scatter, SizeKey};
 
 /// Told apart by those who do not see red and green apart, too (Okabe and Ito 2008).
@@ -171,7 +171,7 @@ mod tests {
     #[test]
     fn a_png_shows_lines_and_letters_at_twice_the_size() {
         let line = Line { name: "lru".into(), points: vec![(1.0, 1.0), (10.0, 5.0)] };
-        let chart = LineChart { title: "misses", x_label: "faces", y_label: "%", lines: vec![line] };
+        let chart = LineChart { axes: Axes::Logarithmic, title: "misses", x_label: "faces", y_label: "%", lines: vec![line] };
         let image = decode_png_codes(&png(&chart).unwrap(), ReadLimits::SCENE).unwrap();
         let (width, height) = chart.size_px().unwrap();
         assert_eq!((image.width, image.height), (2 * width as usize, 2 * height as usize));

@@ -6,6 +6,7 @@ mod capture_to_truth_tests;
 mod chart;
 mod choose;
 mod csv;
+pub mod fits;
 mod metric;
 pub mod pareto;
 mod report;

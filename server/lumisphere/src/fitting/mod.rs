@@ -23,6 +23,7 @@ mod robust;
 mod sample;
 mod selection;
 mod settings;
+pub mod suggest;
 mod tile;
 
 use rayon::prelude::*;

@@ -1,5 +1,6 @@
 //! What the caller decides about a fit, and what it is told about each texel.
 
+use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::Model;
@@ -48,7 +49,8 @@ pub enum Starts {
 }
 
 /// What becomes of samples that stand alone against their neighbours.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Outliers {
     /// They count. A highlight that one view alone sees and an outlier are the same data.
     Keep,
@@ -57,7 +59,8 @@ pub enum Outliers {
 }
 
 /// The numbers that the last steps are calculated in.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Precision {
     /// f32: residuals of exact data end near 10⁻⁷ of the largest value.
     Single,

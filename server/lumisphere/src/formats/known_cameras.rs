@@ -211,6 +211,28 @@ pub(super) fn new_name(file: InFile, names: &mut HashSet<String>, place: &str, n
     if names.insert(name.to_owned()) { Ok(()) } else { Err(file.duplicate(place, format!("{name:?}"))) }
 }
 
+/// Of one picture: `file`, or `files`.
+pub(super) fn files(
+    in_file: InFile,
+    place: &str,
+    file: Option<String>,
+    files: Option<Vec<String>>,
+) -> Result<Vec<String>, KnownCamerasError> {
+    match (file, files) {
+        (Some(one), None) => Ok(vec![one]),
+        (None, Some(several)) if !several.is_empty() => Ok(several),
+        _ => Err(in_file.missing(place, "file, or files")),
+    }
+}
+
+/// As many as files, all above 0.
+pub(super) fn check_exposures(file: InFile, place: &str, exposures: Option<&[f64]>, files: usize) -> Result<(), KnownCamerasError> {
+    let Some(exposures) = exposures else { return Ok(()) };
+    let is_sound = exposures.len() == files && exposures.iter().all(|e| *e > 0.0 && e.is_finite());
+    let expected = || format!("{files} numbers above 0, one a file");
+    if is_sound { Ok(()) } else { Err(file.wrong(format!("{place}.exposures"), format!("{exposures:?}"), expected())) }
+}
+
 fn shortened(value: &str) -> String {
     const LONGEST: usize = 80;
     if value.chars().count() <= LONGEST {

@@ -3,16 +3,19 @@
 //! Ours, `lumisphere-photographs/1`, is JSON: `{"format": "lumisphere-photographs/1", "width": 6.848, "height": 6.848, "photographs": [{"file":
 //! "00.png", "camera": [1.0, 0.3, 16.7]}, {"files": ["01-a.jpg", "01-b.jpg"], "exposures": [1, 0.25], "camera": …}, …]}`. The surface is a rectangle in z = 0, its centre at the origin, x right, y up, z toward
 //! whoever sees it, any unit of length. A photograph's `camera` is a place and its picture rectified: it shows the rectangle and nothing else;
-//! with `light` instead, a direction, the camera stands still and the light moves, as in reflectance transformation imaging. Several `files` are
-//! one picture's exposures, relative to each other; without `exposures` EXIF says them.
+//! with `light` instead, a direction, the camera stands still and the light moves, as in reflectance transformation imaging; with `pose`
+//! instead (`{"position": …, "right": …, "up": …, "backward": …}`, the camera's axes) it is what a camera there with the list's `lens` (`lens.rs`)
+//! sees. Several `files` are one picture's exposures, relative to each other; without `exposures` EXIF says them.
 //! Others: RTI's `.lp`, nerfstudio's `transforms.json`, COLMAP's `images.txt` beside its `cameras.txt`; of the last two the surface lies in their z = 0.
 
 use std::collections::HashSet;
 
-use glam::{DVec3, Vec3};
-use serde::Deserialize;
+use glam::{DMat3, DVec3, Vec3};
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
 
-use super::known_cameras::{InFile, KnownCamerasError, new_name};
+use super::known_cameras::{InFile, KnownCamerasError, check_exposures, files, new_name};
+use super::lens::LensNumbers;
 use super::{colmap, lp, transforms_json};
 use crate::geometry::PhotographCamera;
 
@@ -70,6 +73,7 @@ struct OwnList {
     _format: String,
     width: f64,
     height: f64,
+    lens: Option<LensNumbers>,
     photographs: Vec<OwnPhotograph>,
 }
 
@@ -81,6 +85,17 @@ struct OwnPhotograph {
     exposures: Option<Vec<f64>>,
     camera: Option<[f64; 3]>,
     light: Option<[f64; 3]>,
+    pose: Option<OwnPose>,
+}
+
+/// Position and axes of a camera.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct OwnPose {
+    position: [f64; 3],
+    right: [f64; 3],
+    up: [f64; 3],
+    backward: [f64; 3],
 }
 
 /// Reads a list; `path` is its name, `beside` gives another file's bytes by its path relative to the list.
@@ -115,34 +130,64 @@ fn own(file: InFile, text: &str) -> Result<PhotographList, KnownCamerasError> {
             return Err(file.wrong(key, length, "a length above 0"));
         }
     }
+    let lens = list.lens.map(|lens| lens.checked(file, "lens.")).transpose()?;
     let mut names = HashSet::new();
     let listed = |(i, p): (usize, &OwnPhotograph)| {
         let place = format!("photographs[{i}]");
-        let files = match (&p.file, &p.files) {
-            (Some(one), None) => vec![one.clone()],
-            (None, Some(several)) if !several.is_empty() => several.clone(),
-            _ => return Err(file.missing(place, "file, or files")),
-        };
+        let files = files(file, &place, p.file.clone(), p.files.clone())?;
         files.iter().try_for_each(|name| new_name(file, &mut names, &place, name))?;
-        if let Some(exposures) = &p.exposures {
-            let is_sound = exposures.len() == files.len() && exposures.iter().all(|e| *e > 0.0 && e.is_finite());
-            if !is_sound {
-                let expected = format!("{} numbers above 0, one a file", files.len());
-                return Err(file.wrong(format!("{place}.exposures"), format!("{exposures:?}"), expected));
-            }
-        }
-        let view = match (p.camera, p.light) {
-            (Some(from), None) => PhotographView::Rectified { from: in_front(file, &format!("{place}.camera"), from)?.as_vec3() },
-            (None, Some(toward)) => {
+        check_exposures(file, &place, p.exposures.as_deref(), files.len())?;
+        let view = match (p.camera, p.light, &p.pose) {
+            (Some(from), None, None) => PhotographView::Rectified { from: in_front(file, &format!("{place}.camera"), from)?.as_vec3() },
+            (None, Some(toward), None) => {
                 PhotographView::Lit { toward: in_front(file, &format!("{place}.light"), toward)?.normalize().as_vec3() }
             }
-            (None, None) => return Err(file.missing(place, "camera or light")),
-            (Some(_), Some(_)) => return Err(file.wrong(place, "both camera and light", "one of them")),
+            (None, None, Some(pose)) => {
+                let lens = lens.ok_or_else(|| file.missing("the list", "lens"))?;
+                let position = in_front(file, &format!("{place}.pose.position"), pose.position)?;
+                let axes = DMat3::from_cols(pose.right.into(), pose.up.into(), pose.backward.into());
+                let place = format!("{place}.pose");
+                PhotographView::Calibrated(file.photograph(&place, &files[0], lens, file.pose(&place, axes, position)?)?)
+            }
+            (None, None, None) => return Err(file.missing(place, "camera, light or pose")),
+            _ => return Err(file.wrong(place, "more than one of camera, light and pose", "one of them")),
         };
         Ok(ListedPhotograph { files, exposures: p.exposures.clone(), view })
     };
     let photographs = list.photographs.iter().enumerate().map(listed).collect::<Result<Vec<_>, _>>()?;
     Ok(PhotographList { size: Some([list.width as f32, list.height as f32]), photographs })
+}
+
+/// A picture by a calibrated camera.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CalibratedPicture {
+    /// One, or its exposures; relative to the list.
+    pub files: Vec<String>,
+    /// As long as `files`.
+    pub exposures: Option<Vec<f64>>,
+    /// What took it; all of a list by one lens.
+    pub camera: PhotographCamera,
+}
+
+/// A list of our own, of a surface of this width and height, with the first camera's lens.
+pub fn write(size: [f64; 2], pictures: &[CalibratedPicture]) -> Value {
+    let photograph = |CalibratedPicture { files, exposures, camera }: &CalibratedPicture| {
+        let pose = camera.camera.pose();
+        let axis = |a: Vec3| pose.world_from_camera_vector(a).as_dvec3().to_array();
+        let position = pose.position().as_dvec3().to_array();
+        let pose = OwnPose { position, right: axis(Vec3::X), up: axis(Vec3::Y), backward: axis(Vec3::Z) };
+        let mut entry = match files.as_slice() {
+            [file] => json!({ "file": file, "pose": pose }),
+            _ => json!({ "files": files, "pose": pose }),
+        };
+        if let Some(exposures) = exposures {
+            entry["exposures"] = json!(exposures);
+        }
+        entry
+    };
+    let lens = pictures.first().map(|picture| LensNumbers::of(&picture.camera));
+    let photographs: Vec<Value> = pictures.iter().map(photograph).collect();
+    json!({ "format": FORMAT, "width": size[0], "height": size[1], "lens": lens, "photographs": photographs })
 }
 
 fn in_front(file: InFile, place: &str, at: [f64; 3]) -> Result<DVec3, KnownCamerasError> {
@@ -192,7 +237,7 @@ mod tests {
             wrong(r#"{"file": "a", "camera": [0, 0, -1]}"#),
             "photographs[0].camera is [0, 0, -1], three numbers, the last above 0: in front of the surface expected: list.json"
         );
-        assert_eq!(wrong(r#"{"file": "a"}"#), "photographs[0] has no camera or light: list.json");
+        assert_eq!(wrong(r#"{"file": "a"}"#), "photographs[0] has no camera, light or pose: list.json");
         assert!(wrong(r#"{"file": "a", "camera": [0, 0, 1], "light": [0, 0, 1]}"#).contains("one of them expected"));
         assert!(wrong(r#"{"file": "a", "camera": [0, 0, 1]}, {"file": "a", "camera": [0, 0, 1]}"#).contains("photographs[1] names"));
         let bracketed = |more: &str| wrong(&format!(r#"{{"files": ["a", "b"], {more} "camera": [0, 0, 1]}}"#));
@@ -206,6 +251,34 @@ mod tests {
         assert!(wrong(r#"{"file": "a", "camera": [0, 0, 1], "lens": 3}"#).contains("unknown field `lens`"));
         assert!(alone("list.txt", "").unwrap_err().contains("a .lp, a .json, or COLMAP's images.txt expected"));
         assert!(alone("images.txt", "").unwrap_err().contains("cameras.txt"));
+    }
+
+    const LENS: &str = r#""lens": {"width_px": 640, "height_px": 480, "focal_px": [500, 500], "center_px": [320, 240]}"#;
+    const POSE: &str = r#""pose": {"position": [0, 0, 3], "right": [1, 0, 0], "up": [0, 1, 0], "backward": [0, 0, 1]}"#;
+
+    fn posed(lens: &str, pose: &str) -> Result<PhotographList, String> {
+        let text = format!(r#"{{"format": "{FORMAT}", "width": 2, "height": 1, {lens} "photographs": [{{"file": "a.png", {pose}}}]}}"#);
+        alone("list.json", &text)
+    }
+
+    #[test]
+    fn a_calibrated_list_comes_back_as_it_was_written() {
+        let list = posed(&format!("{LENS},"), POSE).unwrap();
+        let PhotographView::Calibrated(camera) = &list.photographs[0].view else { panic!("{list:?}") };
+        // The surface's centre is in the picture's.
+        assert_eq!(camera.project(Vec3::ZERO).unwrap().to_array(), [320.0, 240.0]);
+        let text =
+            write([2.0, 1.0], &[CalibratedPicture { files: vec!["a.png".into()], exposures: None, camera: camera.clone() }]).to_string();
+        assert_eq!(alone("list.json", &text).unwrap(), list);
+    }
+
+    #[test]
+    fn a_pose_needs_a_lens_and_must_be_one_in_front_of_the_surface() {
+        assert_eq!(posed("", POSE).unwrap_err(), "the list has no lens: list.json");
+        let behind = posed(&format!("{LENS},"), &POSE.replace("[0, 0, 3]", "[0, 0, -3]")).unwrap_err();
+        assert!(behind.contains("photographs[0].pose.position is [0, 0, -3]") && behind.contains("in front of the surface"), "{behind}");
+        let bent = posed(&format!("{LENS},"), &POSE.replace("[0, 1, 0]", "[0, 2, 0]")).unwrap_err();
+        assert!(bent.contains("photographs[0].pose"), "{bent}");
     }
 
     #[test]

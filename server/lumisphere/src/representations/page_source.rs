@@ -18,6 +18,9 @@ pub struct Fetched {
 
 /// Pages of one dataset version, from anywhere and by any number of threads.
 pub trait PageSource: Sync {
+    /// Which version: [`DatasetVersion::slot`].
+    fn version_slot(&self) -> u32;
+
     /// The page, read if need be.
     fn page(&self, page: PageId) -> Result<Fetched, StoreError>;
 
@@ -47,6 +50,10 @@ pub struct CachedPages {
 }
 
 impl PageSource for CachedPages {
+    fn version_slot(&self) -> u32 {
+        self.version.slot()
+    }
+
     fn page(&self, page: PageId) -> Result<Fetched, StoreError> {
         let (page, cost) = self.cache.page_with_cost(&self.version, page)?;
         Ok(Fetched { page, was_resident: cost.is_none(), bytes_read: cost.unwrap_or_default().bytes_read })
@@ -204,6 +211,11 @@ pub(crate) struct MemoryPages(pub Vec<Arc<Page>>);
 
 #[cfg(test)]
 impl PageSource for MemoryPages {
+    // Of no store.
+    fn version_slot(&self) -> u32 {
+        u32::MAX
+    }
+
     fn page(&self, page: PageId) -> Result<Fetched, StoreError> {
         let found = self.0.get(page.0 as usize).ok_or_else(|| StoreError::NotFound { what: format!("page {page}") })?;
         Ok(Fetched { page: found.clone(), was_resident: true, bytes_read: 0 })

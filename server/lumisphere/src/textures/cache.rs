@@ -288,13 +288,18 @@ impl Cache {
     /// Every counter of every tier and version.
     pub fn snapshot(&self) -> CacheSnapshot {
         let sums = self.stripes.sum();
-        let (compressed, compressed_policy) = self.compressed.stats();
+        let (compressed, compressed_policy, compressed_shares) = self.compressed.stats();
         let residency = self.residency();
         let versions = self.table.versions().map(|table| VersionStats {
+            slot: table.slot,
             dataset: table.dataset.clone(),
             version: table.version,
             strategy: table.strategy(),
             decoded: with_sizes(sums.get(table.slot as usize).copied().unwrap_or_default(), &residency, residency.share(table.slot)),
+            compressed: compressed_shares
+                .get(table.slot as usize)
+                .copied()
+                .unwrap_or(CompressedStats { budget_bytes: compressed.budget_bytes, ..CompressedStats::default() }),
         });
         let versions = versions.collect();
         let mut total = CacheStats::default();
@@ -319,7 +324,7 @@ impl Cache {
     /// Peaks begin anew with what is held now.
     pub fn forget_peaks(&self) {
         self.residency().forget_peaks();
-        self.compressed.forget_peak();
+        self.compressed.forget_peaks();
     }
 
     /// Changes the budget of decoded pages; those that no longer fit leave at once.

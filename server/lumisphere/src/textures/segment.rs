@@ -146,9 +146,11 @@ fn record_bytes(page: PageId, encoded: &EncodedPage) -> (Vec<u8>, u64) {
     (record, checksum)
 }
 
-/// Bytes that appending the page takes.
-pub(super) fn encoded_record_bytes(encoded: &EncodedPage) -> u64 {
-    ((FIXED_BYTES + encoded.blocks.len() * ENTRY_BYTES + encoded.payload.len()) as u64).next_multiple_of(ALIGNMENT)
+impl EncodedPage {
+    /// Bytes that the page takes in a version, header included.
+    pub fn stored_bytes(&self) -> u64 {
+        ((FIXED_BYTES + self.blocks.len() * ENTRY_BYTES + self.payload.len()) as u64).next_multiple_of(ALIGNMENT)
+    }
 }
 
 /// Appends records to a file that is not sealed yet.

@@ -1,7 +1,8 @@
 //! A dataset version being written: found again after a crash, invisible until published.
 //!
 //! `staging/<token>/staging.json` names the dataset and the blobs, `0000.seg` … hold the pages, `blobs/` the blobs. Publishing
-//! gives sealed files a second name in the store, then writes the manifest; only then does the staging folder go. So a crash at any
+//! gives sealed files a second name in the store, then writes the manifest; only then does the staging folder go, and what the work kept in
+//! `scratch/` for itself with it. So a crash at any
 //! step leaves either the version or the staging to go on from, and what the next start sweeps.
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -17,9 +18,12 @@ use super::hash::ContentHash;
 use super::index;
 use super::manifest::{BlobEntry, MANIFEST_FORMAT, Manifest, PageSummary, Publication, SegmentEntry, open_sealed_json, sealed_json};
 use super::page::{PageId, PageShape};
-use super::segment::{Location, MAX_SEGMENT_BYTES, SegmentWriter, encoded_record_bytes};
+use super::segment::{Location, MAX_SEGMENT_BYTES, SegmentWriter};
 use super::store::{Store, check_name};
 use super::version::{DatasetVersion, VersionRecord};
+
+/// Of a BLAKE3 as text.
+const HASH_DIGITS: usize = 64;
 
 /// What `staging.json` holds.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -129,7 +133,7 @@ impl Staging {
         if state.pages.contains_key(&page) {
             return Err(StoreError::AlreadyExists { what: format!("page {page}") });
         }
-        let bytes = encoded_record_bytes(encoded);
+        let bytes = encoded.stored_bytes();
         if state.writers.last().is_none_or(|w| w.length() + bytes > MAX_SEGMENT_BYTES) {
             if let Some(full) = state.writers.last_mut() {
                 full.sync()?;
@@ -173,6 +177,31 @@ impl Staging {
             return Err(StoreError::DamagedFile { reason: "content does not have the hash in its name".into(), path });
         }
         Ok(Some(bytes))
+    }
+
+    /// Keeps bytes for the work itself, durably: whoever resumes it finds them, no version has them.
+    pub fn put_scratch(&self, name: &str, bytes: &[u8]) -> Result<(), StoreError> {
+        check_name(name)?;
+        let folder = self.folder.join("scratch");
+        let disk = self.store.disk();
+        disk.create_dir_all(&folder).at("create", &folder)?;
+        let sealed = [&ContentHash::of(bytes).to_string().into_bytes()[..], bytes].concat();
+        write_atomically(disk, &folder.join(name), &sealed)
+    }
+
+    /// Bytes that were kept before, by this run or the one it resumes; None if there are none.
+    pub fn scratch(&self, name: &str) -> Result<Option<Vec<u8>>, StoreError> {
+        check_name(name)?;
+        let path = self.folder.join("scratch").join(name);
+        if !path.exists() {
+            return Ok(None);
+        }
+        let mut sealed = read_file(&path)?;
+        let bytes = sealed.split_off(sealed.len().min(HASH_DIGITS));
+        match ContentHash::of(&bytes).to_string().into_bytes() == sealed {
+            true => Ok(Some(bytes)),
+            false => Err(StoreError::DamagedFile { reason: "content does not have the hash that it begins with".into(), path }),
+        }
     }
 
     fn blob_path(&self, hash: &ContentHash) -> PathBuf {

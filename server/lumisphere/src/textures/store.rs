@@ -259,6 +259,26 @@ impl Store {
         Ok(())
     }
 
+    /// Removes all versions of a dataset that are older than its newest. Who holds one goes on reading it.
+    pub fn delete_older_versions(&self, dataset: &str) -> Result<(), StoreError> {
+        let _files = self.lock_files();
+        let mut removed = BTreeMap::new();
+        let folder = self.folders().dataset(dataset);
+        let mut older = self.versions(dataset)?;
+        older.pop();
+        for version in older {
+            // One rename decides, as for a dataset. No dataset's name holds a plus.
+            let trash = self.folders().trash.join(format!("{dataset}+{version}"));
+            let _ = self.disk().remove_dir_all(&trash);
+            self.disk().rename(&folder.join(version.to_string()), &trash).at("rename", &trash)?;
+            removed.extend(self.catalog().datasets.get_mut(dataset).and_then(|versions| versions.remove_entry(&version)));
+            let _ = self.disk().remove_dir_all(&trash);
+        }
+        sync_dir(self.disk(), &folder)?;
+        self.remove_unnamed(&removed);
+        Ok(())
+    }
+
     /// Removes files and index entries that only `removed` named. What cannot be removed now is swept at the next start.
     fn remove_unnamed(&self, removed: &BTreeMap<u64, Entry>) {
         let catalog = self.catalog();

@@ -24,7 +24,7 @@ use crate::textures::{Page, PageShape, PixelFormat};
 
 pub use photographs::{ImportError, ImportSettings, RadiancePhotograph, Response, import};
 pub use storage::{from_parts, to_parts};
-pub use virtual_photographs::{Coverage, ObserveError, ObserveSettings, observe};
+pub use virtual_photographs::{Coverage, Entries, ObserveError, ObserveSettings, observe, observed};
 
 /// The kind of such a dataset in its manifest. It is not rendered; models are fitted to it.
 pub const OBSERVATION_MAP: &str = "observation_map";

@@ -98,6 +98,7 @@ pub enum ObserveError {
     Parts(#[from] PartsError),
 }
 
+const STAGE: &str = "taking photographs";
 // Pages traced side by side: enough to keep the threads busy while one is encoded, few enough to lose little when killed.
 const BATCH: usize = 16;
 // Paths a side of a background vertex.
@@ -115,46 +116,38 @@ pub fn observe(
     staging: &Staging,
     progress: &dyn Progress,
 ) -> Result<ObservationParameters, ObserveError> {
-    let index = scene.object(&settings.object).ok_or_else(|| ObserveError::UnknownObject {
-        object: settings.object.clone(),
-        known: scene.objects.iter().map(|o| o.name.clone()).collect(),
-    })?;
-    check(settings)?;
-    let object = &scene.objects[index];
-    let (low, high) = object.mesh.bounds();
-    let (center, radius) = (0.5 * (low + high), 0.5 * (high - low).length());
-    let tracer = Tracer::new(scene)?;
-    let surface = SurfaceMesh::of(object);
-    let all = u64::from(surface.parts) * u64::from(settings.size_texels).pow(2);
-    if all > MOST_TEXELS {
-        let (value, expected) = (settings.size_texels.to_string(), format!("at most {MOST_TEXELS} in its {} parts", surface.parts));
-        return Err(ObserveError::Setting { setting: "texels along an edge", value, expected });
-    }
-    let axis = settings.axis.unwrap_or_else(|| mean_normal(&surface));
-    let observers = cameras(settings, axis, center, radius);
-    let trace =
-        TraceSettings { samples_per_pixel: settings.samples_per_observation, max_bounces: settings.max_bounces, seed: settings.seed };
-    let bake = TraceSettings { samples_per_pixel: BACKGROUND_SAMPLES, ..trace };
-    let background = bake_background(scene, index, (center, radius), &tracer, &bake, progress)?;
-    let (texels, seen): (Vec<ObservedTexel>, Vec<SurfaceTexel>) = texels_of(&surface, settings.size_texels as usize).into_iter().unzip();
-    if texels.is_empty() {
-        return Err(ObserveError::NoTexels { object: settings.object.clone(), size: settings.size_texels });
-    }
-    let parameters = ObservationParameters {
-        object: settings.object.clone(),
-        size_texels: settings.size_texels,
-        directions: settings.directions.to_string(),
-        samples_per_observation: settings.samples_per_observation,
-        max_bounces: settings.max_bounces,
-        seed: settings.seed,
-    };
-    let map = ObservationMap { parameters, surface, background, observers, texels };
-    let photographer = Photographer { tracer: &tracer, map: &map, seen: &seen, lift: LIFT_PER_RADIUS * radius, trace };
-    photographer.fill(settings, staging, progress)?;
-    for (name, bytes) in to_parts(&map)? {
+    let shoot = Shoot::new(scene, settings, &|_| true, progress)?;
+    shoot.fill(settings, staging, progress)?;
+    for (name, bytes) in to_parts(&shoot.map)? {
         staging.put_blob(name, &bytes)?;
     }
-    Ok(map.parameters)
+    Ok(shoot.map.parameters)
+}
+
+/// Entries of pages, each row by row.
+pub type Entries = Vec<Vec<[f32; 4]>>;
+
+/// The same of the texels that are `wanted`, a few thousand, into memory: the map, and its pages' entries, not rounded to
+/// `settings.pixel_format`.
+pub fn observed(
+    scene: &Scene,
+    settings: &ObserveSettings,
+    wanted: &dyn Fn(&ObservedTexel) -> bool,
+    progress: &dyn Progress,
+) -> Result<(ObservationMap, Entries), ObserveError> {
+    let shoot = Shoot::new(scene, settings, wanted, progress)?;
+    let total = shoot.map.page_count() as u64;
+    let done = AtomicU64::new(0);
+    let pages = (0..shoot.map.page_count()).into_par_iter().map(|page| {
+        if progress.is_cancelled() {
+            return Err(ObserveError::Cancelled(Cancelled));
+        }
+        let entries = shoot.page(page);
+        progress.report(STAGE, done.fetch_add(1, Ordering::Relaxed) + 1, total);
+        Ok(entries)
+    });
+    let pages = pages.collect::<Result<Vec<_>, _>>()?;
+    Ok((shoot.map, pages))
 }
 
 fn check(settings: &ObserveSettings) -> Result<(), ObserveError> {
@@ -219,29 +212,74 @@ fn texels_of(surface: &SurfaceMesh, size: usize) -> Vec<(ObservedTexel, SurfaceT
     (0..surface.parts).into_par_iter().flat_map_iter(of_part).collect()
 }
 
-struct Photographer<'a> {
-    tracer: &'a Tracer,
-    map: &'a ObservationMap,
-    seen: &'a [SurfaceTexel],
+/// Everything that stands before the first photograph.
+struct Shoot {
+    tracer: Tracer,
+    map: ObservationMap,
+    seen: Vec<SurfaceTexel>,
     lift: f32,
     trace: TraceSettings,
 }
 
-impl Photographer<'_> {
+impl Shoot {
+    fn new(
+        scene: &Scene,
+        settings: &ObserveSettings,
+        wanted: &dyn Fn(&ObservedTexel) -> bool,
+        progress: &dyn Progress,
+    ) -> Result<Self, ObserveError> {
+        let index = scene.object(&settings.object).ok_or_else(|| ObserveError::UnknownObject {
+            object: settings.object.clone(),
+            known: scene.objects.iter().map(|o| o.name.clone()).collect(),
+        })?;
+        check(settings)?;
+        let object = &scene.objects[index];
+        let (low, high) = object.mesh.bounds();
+        let (center, radius) = (0.5 * (low + high), 0.5 * (high - low).length());
+        let tracer = Tracer::new(scene)?;
+        let surface = SurfaceMesh::of(object);
+        let all = u64::from(surface.parts) * u64::from(settings.size_texels).pow(2);
+        if all > MOST_TEXELS {
+            let (value, expected) = (settings.size_texels.to_string(), format!("at most {MOST_TEXELS} in its {} parts", surface.parts));
+            return Err(ObserveError::Setting { setting: "texels along an edge", value, expected });
+        }
+        let axis = settings.axis.unwrap_or_else(|| mean_normal(&surface));
+        let observers = cameras(settings, axis, center, radius);
+        let trace =
+            TraceSettings { samples_per_pixel: settings.samples_per_observation, max_bounces: settings.max_bounces, seed: settings.seed };
+        let bake = TraceSettings { samples_per_pixel: BACKGROUND_SAMPLES, ..trace };
+        let background = bake_background(scene, index, (center, radius), &tracer, &bake, progress)?;
+        let (texels, seen): (Vec<ObservedTexel>, Vec<SurfaceTexel>) =
+            texels_of(&surface, settings.size_texels as usize).into_iter().filter(|(texel, _)| wanted(texel)).unzip();
+        if texels.is_empty() {
+            return Err(ObserveError::NoTexels { object: settings.object.clone(), size: settings.size_texels });
+        }
+        let parameters = ObservationParameters {
+            object: settings.object.clone(),
+            size_texels: settings.size_texels,
+            directions: settings.directions.to_string(),
+            samples_per_observation: settings.samples_per_observation,
+            max_bounces: settings.max_bounces,
+            seed: settings.seed,
+        };
+        let map = ObservationMap { parameters, surface, background, observers, texels };
+        Ok(Self { tracer, map, seen, lift: LIFT_PER_RADIUS * radius, trace })
+    }
+
     fn fill(&self, settings: &ObserveSettings, staging: &Staging, progress: &dyn Progress) -> Result<(), ObserveError> {
         let shape = self.map.page_shape(settings.pixel_format);
         let present = staging.pages_present();
         let missing: Vec<usize> = (0..self.map.page_count()).filter(|k| !present.contains(&PageId(*k as u32))).collect();
         let done = AtomicU64::new((self.map.page_count() - missing.len()) as u64);
         let total = self.map.page_count() as u64;
-        progress.report("taking photographs", done.load(Ordering::Relaxed), total);
+        progress.report(STAGE, done.load(Ordering::Relaxed), total);
         for batch in missing.chunks(BATCH) {
             let encoded = batch.par_iter().map(|page| {
                 if progress.is_cancelled() {
                     return Err(ObserveError::Cancelled(Cancelled));
                 }
                 let encoded = encode_as(settings.codec, &shape, self.page(*page).as_flattened())?;
-                progress.report("taking photographs", done.fetch_add(1, Ordering::Relaxed) + 1, total);
+                progress.report(STAGE, done.fetch_add(1, Ordering::Relaxed) + 1, total);
                 Ok(encoded)
             });
             for (page, encoded) in batch.iter().zip(encoded.collect::<Result<Vec<_>, _>>()?) {

@@ -11,7 +11,7 @@ pub mod scan;
 mod solve;
 pub mod support;
 
-use pulp::{Arch, Simd, WithSimd};
+use pulp::{Arch, Scalar, Simd, WithSimd};
 
 use self::flat::{Flat, Rungs};
 use self::question::{Lobes, Question, Report};
@@ -26,7 +26,7 @@ use super::sample::{Sample, Weights};
 pub enum Numbers {
     /// f32.
     Single,
-    /// f64, half as many lanes to a register.
+    /// f64, one lane after the other: a third of the kernels' compile time for steps that few ask for is not worth their registers.
     Double,
 }
 
@@ -53,8 +53,12 @@ fn dispatch<const J: usize, const Q: usize, const P: usize>(
     match (numbers, weights) {
         (Numbers::Single, Weights::Shared) => arch.dispatch(Single::<J, Q, P, 1> { question, lobes, report }),
         (Numbers::Single, Weights::PerChannel) => arch.dispatch(Single::<J, Q, P, 3> { question, lobes, report }),
-        // Rare: one kernel serves both.
-        (Numbers::Double, _) => arch.dispatch(Double::<J, Q, P, 3> { question, lobes, report }),
+        // Two passes, asked for by few: one kernel serves both weights and all machines.
+        (Numbers::Double, _) => {
+            for lane in 0..GROUP {
+                solve::<F64<Scalar>, J, Q, P, 3>(Scalar, question, lane, lobes, report);
+            }
+        }
     }
 }
 
@@ -71,23 +75,6 @@ impl<const J: usize, const Q: usize, const P: usize, const C: usize> WithSimd fo
     fn with_simd<S: Simd>(self, simd: S) {
         for part in 0..GROUP / F32::<S>::COUNT {
             solve::<F32<S>, J, Q, P, C>(simd, self.question, part, self.lobes, self.report);
-        }
-    }
-}
-
-struct Double<'a, const J: usize, const Q: usize, const P: usize, const C: usize> {
-    question: &'a Question<'a>,
-    lobes: &'a mut Lobes,
-    report: &'a mut Report,
-}
-
-impl<const J: usize, const Q: usize, const P: usize, const C: usize> WithSimd for Double<'_, J, Q, P, C> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
-        for part in 0..GROUP / F64::<S>::COUNT {
-            solve::<F64<S>, J, Q, P, C>(simd, self.question, part, self.lobes, self.report);
         }
     }
 }

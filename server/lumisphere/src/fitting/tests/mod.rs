@@ -5,4 +5,5 @@ mod cases;
 mod damage;
 mod lights;
 mod selection;
+mod suggest;
 mod views;

@@ -12,7 +12,6 @@ mod recording;
 mod stability;
 mod thinning;
 
-use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use glam::{Quat, Vec3};
@@ -20,9 +19,10 @@ use glam::{Quat, Vec3};
 use super::shade::{blend_weights, exponential, logarithm, mirror_direction, power};
 use super::{Blend, Component, Filter, NO_SAMPLE, OffsetSurfaceLightField, Settings};
 use crate::geometry::{Camera, Intrinsics, Pose};
-use crate::images::{Golden, Image, Tolerance, check_golden, count_beyond, elements_agree};
+use crate::images::{Tolerance, count_beyond, elements_agree};
 use crate::render::{Backend, Frame, FrameRequest, Outputs, RenderError, Renderer};
 use crate::representations::{Answer, Refine, Settings as AnySettings};
+use crate::testdata::golden::assert_golden;
 use crate::textures::{PixelFormat, StoreError};
 use fixture::{MemoryPages, WORLD, World, environment_radiance, starve, surface_radiance};
 
@@ -329,27 +329,8 @@ fn pages_are_counted_once_and_requests_as_often_as_they_are_made() {
     assert!(usage.hits >= frame.stats.pages_needed as u64 && usage.misses == 0);
 }
 
-fn golden(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/golden").join(name)
-}
-
 #[test]
 fn the_sphere_on_its_floor_looks_as_it_did() {
     let frame = frame(&WORLD, Vec3::new(1.2, 0.9, 2.8), settings(Component::Full, Blend::Normal { exponent: 4.0 }));
-    let mut image = Image::zeros(64, 48, 3);
-    for at in 0..64 * 48 {
-        image.set_rgb(at, frame.pixels.color[3 * at..3 * at + 3].try_into().unwrap());
-    }
-    let golden_mode = if std::env::var_os("UPDATE_GOLDENS").is_some() { Golden::Rewrite } else { Golden::Check };
-    let failures = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../target/golden-failures");
-    check_golden(&golden("offset_surface_light_field_full.exr"), &image, &Tolerance::F16_STORAGE, golden_mode, &failures).unwrap();
-    // The comparator would see a shift by one pixel.
-    if golden_mode == Golden::Check {
-        for plane in &mut image.planes {
-            plane.rotate_right(1);
-        }
-        let shifted =
-            check_golden(&golden("offset_surface_light_field_full.exr"), &image, &Tolerance::F16_STORAGE, Golden::Check, &failures);
-        assert!(shifted.is_err());
-    }
+    assert_golden("offset_surface_light_field_full.exr", &frame);
 }

@@ -1,24 +1,26 @@
 //! From an observation map to a stored parameter map: every texel fitted, its model packed behind the one before.
 //!
-//! Pages of observations are read one batch after the other, so memory does not grow with the map. After every batch the models' numbers so
-//! far are stored: a job that is killed goes on there.
+//! Pages of observations are read one batch after the other, so memory does not grow with the map. Every batch's models are kept with the staging
+//! area: a job that is killed goes on behind them, and what there is can be seen meanwhile ([`PartialMap`]). With all of them there, a bound on bytes
+//! says which models have to be smaller (`budget.rs`); then they are packed (`packed_pages.rs`).
 
-use std::collections::BTreeMap;
 use std::time::Instant;
 
 use rayon::prelude::*;
 use thiserror::Error;
 
-use super::models::{AllowedModels, FittedTexel, fit_texels};
-use super::storage::{NOT_YET, StoredTexels, TEXELS};
-use super::{ModelCode, ParameterMap, Parameters, QUADS_PER_PAGE, TexelTable, texel_order, to_parts};
+use super::budget::{Keeping, Savings};
+use super::kept_models::KeptModels;
+use super::models::{AllowedModels, FittedTexel, HowToFit, Rungs, fit_texels};
+use super::packed_pages::{Packed, StorePage, pack};
+use super::summary::{BudgetReport, FitSummary, Tally};
+use super::{ParameterMap, Parameters, PartialFit, TexelTable, to_parts};
 use crate::capture::PartsError;
 use crate::capture::observation_map::{Observation, ObservationMap, ObservedTexel, State, TEXELS_PER_PAGE};
-use crate::capture::parts::{decode, encode};
 use crate::fitting::harmonics::HarmonicsFitError;
-use crate::fitting::{Flags, Noise, SettingsError};
-use crate::progress::{Cancelled, Progress};
-use crate::textures::{Codec, Page, PageId, PixelFormat, Staging, StoreError, encode_as};
+use crate::fitting::{Noise, Outliers, Precision, SettingsError};
+use crate::progress::{Cancelled, Progress, Unattended};
+use crate::textures::{Codec, Page, PageId, PixelFormat, Staging, StoreError};
 
 /// How to fit and store.
 #[derive(Debug, Clone, PartialEq)]
@@ -29,25 +31,46 @@ pub struct ConstructSettings {
     pub noise_floor: Option<f32>,
     /// Of an observation, as a part of it; at least 0.
     pub relative_noise: f32,
+    /// What becomes of observations that stand alone against their neighbours. Harmonics keep them.
+    pub outliers: Outliers,
+    /// Of lobes' last digits.
+    pub precision: Precision,
+    /// All that the version stores may take no more: models are as small as that asks for.
+    pub max_bytes: Option<u64>,
     /// How pages hold numbers.
     pub pixel_format: PixelFormat,
     /// How pages are packed.
     pub codec: Codec,
 }
 
-/// What came of the fits, over all texels that were observed.
-#[derive(Debug, Clone, Default, PartialEq, serde::Serialize)]
-pub struct FitSummary {
-    /// Texels that were fitted in this run; an earlier run's are not among them.
-    pub texels: u64,
-    /// Seconds of this run's fits.
-    pub seconds: f64,
-    /// How many texels have which model.
-    pub histogram: BTreeMap<String, u64>,
-    /// How many have which flag.
-    pub flags: BTreeMap<&'static str, u64>,
-    /// Of the fits of this run: root mean square of what the models leave of observations that are not clipped.
-    pub rms_residual: f64,
+/// What is fitted.
+pub struct FitSource<'a> {
+    /// Where what was seen.
+    pub map: &'a ObservationMap,
+    /// Reads a page of observations.
+    pub read: &'a ReadObservations<'a>,
+    /// Dataset and version, for people.
+    pub name: &'a str,
+    /// What the caller will store beside the map, at most.
+    pub beside_bytes: u64,
+}
+
+/// Reads a page of observations.
+pub type ReadObservations<'a> = dyn Fn(PageId) -> Result<std::sync::Arc<Page>, StoreError> + Sync + 'a;
+
+/// Whoever follows a fit; asked and told between two batches.
+pub trait FollowFit: Progress {
+    /// What came of the texels so far, an earlier run's included.
+    fn fitted(&self, so_far: &FitSummary);
+    /// A map of the texels so far could be stored now.
+    fn offer(&self, partial: &PartialMap<'_>) -> Result<(), FitError>;
+}
+
+impl FollowFit for Unattended {
+    fn fitted(&self, _so_far: &FitSummary) {}
+    fn offer(&self, _partial: &PartialMap<'_>) -> Result<(), FitError> {
+        Ok(())
+    }
 }
 
 /// Why no parameter map came of it.
@@ -77,6 +100,20 @@ pub enum FitError {
         /// How many.
         texels: usize,
     },
+    /// Not even the smallest models fit.
+    #[error("{max_bytes} bytes for a map that takes {least} with the smallest model at every texel: at least {least} expected")]
+    MaxBytes {
+        /// The bound.
+        max_bytes: u64,
+        /// What is possible.
+        least: u64,
+    },
+    /// Models that were kept are gone, or were damaged, before they were packed.
+    #[error("the kept models of batch {batch} are gone or damaged; fitting again makes them anew")]
+    Lost {
+        /// Of texels, in the map's order.
+        batch: usize,
+    },
     /// Asked to stop; can be resumed.
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
@@ -90,84 +127,231 @@ pub enum FitError {
 
 // Pages of observations fitted side by side: enough for the threads, few enough to lose little when killed.
 const BATCH: usize = 32;
+// Sizes that are tried for a bound on bytes lie so many parts of what can be saved apart.
+const SIZES: u64 = 1 << 12;
 
-/// Reads a page of observations.
-pub type ReadObservations<'a> = dyn Fn(PageId) -> Result<std::sync::Arc<Page>, StoreError> + Sync + 'a;
-
-/// Fits `map`, whose pages `read` gives, and fills `staging` with pages and parts; the caller publishes. Can be called again on a staging area
-/// that an earlier, identical call left unfinished. `observations` names them, for people.
+/// Fits what `source` has and fills `staging` with pages and parts; the caller publishes. Can be called again on a staging area that an earlier,
+/// identical call left unfinished.
 pub fn construct(
-    map: &ObservationMap,
-    read: &ReadObservations<'_>,
-    observations: &str,
+    source: &FitSource<'_>,
     settings: &ConstructSettings,
     staging: &Staging,
-    progress: &dyn Progress,
+    follow: &dyn FollowFit,
 ) -> Result<(Parameters, FitSummary), FitError> {
-    let size = map.parameters.size_texels as usize;
-    let texel_count = size * size * map.surface.parts as usize;
-    let mut work = Work::resume(map, settings, staging, texel_count)?;
-    let (begin, pages) = (Instant::now(), map.page_count());
-    let noise = Noise { floor: noise_floor(map, read, settings)?, relative: settings.relative_noise };
-    let mut summary = FitSummary::default();
-    let (mut squares, mut samples) = (0f64, 0u64);
-    let mut page = work.first_page;
-    while page < pages {
-        progress.report("fitting", page as u64 * TEXELS_PER_PAGE as u64, map.texels.len() as u64);
-        if progress.is_cancelled() {
-            return Err(Cancelled.into());
-        }
-        let batch = page..pages.min(page + BATCH);
-        let fitted =
-            batch.clone().into_par_iter().map(|page| fit_page(map, read, page, (settings.models, noise))).collect::<Result<Vec<_>, _>>()?;
-        for texel in fitted.iter().flatten() {
-            work.push(texel)?;
-            (squares, samples) = (squares + texel.sum_of_squares, samples + texel.samples);
-            summary.texels += 1;
-        }
-        page = batch.end;
-        work.save()?;
-    }
-    progress.report("fitting", map.texels.len() as u64, map.texels.len() as u64);
-    summary.seconds = begin.elapsed().as_secs_f64();
-    summary.rms_residual = (squares / samples.max(1) as f64).sqrt();
-    let texels = work.finish(size)?;
-    summary.count(&texels);
-    let parameters = Parameters {
-        observed: map.parameters.clone(),
-        observations: observations.into(),
-        models: settings.models.to_string(),
-        pixel_format: settings.pixel_format,
-        histogram: summary.histogram.clone(),
-    };
-    let fitted = ParameterMap { parameters, surface: map.surface.clone(), background: map.background.clone(), texels };
-    for (name, bytes) in to_parts(&fitted)? {
-        staging.put_blob(name, &bytes)?;
-    }
-    Ok((fitted.parameters, summary))
+    let fit = Fit { source, settings, models: KeptModels { staging } };
+    let (of_this_run, seconds) = fit.all(follow)?;
+    let (keeping, budget) = fit.choose(follow)?;
+    follow.report("packing", 0, 1);
+    let (parameters, packed) = fit.store(fit.batches(), keeping, staging, None)?;
+    let budget = budget.map(|(bytes, before)| BudgetReport { bytes, texels_reduced: packed.reduced, ..before });
+    Ok((parameters, FitSummary { budget, ..packed.tally.summary(of_this_run, seconds) }))
 }
 
-fn fit_page(
-    map: &ObservationMap,
-    read: &ReadObservations<'_>,
-    page: usize,
-    (models, noise): (AllowedModels, Noise),
-) -> Result<Vec<FittedTexel>, FitError> {
-    let pixels = read_page(map, read, page)?;
-    let columns = map.texels_of_page(page);
-    let observed =
-        columns.iter().enumerate().map(|(column, texel)| (texel, observations_of(map, texel, &pixels, column))).collect::<Vec<_>>();
-    fit_texels(&observed, models, noise)
+/// Models of the first texels, while others are still to be fitted.
+pub struct PartialMap<'a> {
+    fit: &'a Fit<'a>,
+    batches: usize,
 }
 
-fn read_page(map: &ObservationMap, read: &ReadObservations<'_>, page: usize) -> Result<std::sync::Arc<Page>, FitError> {
-    let pixels = read(PageId(page as u32))?;
-    if map.is_shaped(&pixels) {
-        return Ok(pixels);
+impl PartialMap<'_> {
+    /// Fills another staging area with a map of them; the other texels have no model.
+    pub fn store(&self, staging: &Staging) -> Result<Parameters, FitError> {
+        let map = self.fit.source.map;
+        let fitted = map.texels.len().min(self.batches * BATCH * TEXELS_PER_PAGE) as u64;
+        let partial = PartialFit { texels_fitted: fitted, texels: map.texels.len() as u64 };
+        Ok(self.fit.store(self.batches, Keeping::ALL, staging, Some(partial))?.0)
     }
-    let (shape, expected) = (pixels.shape(), map.page_shape(PixelFormat::F32));
-    let expected = (expected.width, expected.height);
-    Err(FitError::PageShape { page: page as u32, width: shape.width, height: shape.height, expected })
+}
+
+/// One fit of one map.
+struct Fit<'a> {
+    source: &'a FitSource<'a>,
+    settings: &'a ConstructSettings,
+    models: KeptModels<'a>,
+}
+
+impl Fit<'_> {
+    fn batches(&self) -> usize {
+        self.source.map.page_count().div_ceil(BATCH)
+    }
+
+    fn texels(&self) -> usize {
+        let size = self.source.map.parameters.size_texels as usize;
+        size * size * self.source.map.surface.parts as usize
+    }
+
+    /// Fits what no earlier run has; how many texels, in how many seconds.
+    fn all(&self, follow: &dyn FollowFit) -> Result<(u64, f64), FitError> {
+        let (map, settings) = (self.source.map, self.settings);
+        let how = HowToFit {
+            models: settings.models,
+            noise: Noise { floor: self.noise_floor()?, relative: settings.relative_noise },
+            outliers: settings.outliers,
+            precision: settings.precision,
+            rungs: if settings.max_bytes.is_some() { Rungs::AndSmaller } else { Rungs::Chosen },
+        };
+        let (mut tally, mut of_this_run, mut seconds) = (Tally::new(), 0, 0.0);
+        for batch in 0..self.batches() {
+            let (done, total) = ((batch * BATCH * TEXELS_PER_PAGE) as u64, map.texels.len() as u64);
+            follow.report("fitting", done.min(total), total);
+            if follow.is_cancelled() {
+                return Err(Cancelled.into());
+            }
+            let known = self.models.read(batch)?;
+            let is_new = known.is_none();
+            let texels = match known {
+                Some(texels) => texels,
+                None => {
+                    let begun = Instant::now();
+                    let texels = self.batch(batch, &how)?;
+                    (of_this_run, seconds) = (of_this_run + texels.len() as u64, seconds + begun.elapsed().as_secs_f64());
+                    self.models.keep(batch, &texels)?;
+                    texels
+                }
+            };
+            texels.iter().filter_map(|t| Some((t, t.rungs.last()?))).for_each(|(texel, rung)| tally.add(texel, rung));
+            follow.fitted(&tally.summary(of_this_run, seconds));
+            if is_new && batch + 1 < self.batches() {
+                follow.offer(&PartialMap { fit: self, batches: batch + 1 })?;
+            }
+        }
+        follow.report("fitting", map.texels.len() as u64, map.texels.len() as u64);
+        Ok((of_this_run, seconds))
+    }
+
+    /// What `all` has kept.
+    fn kept(&self, batch: usize) -> Result<Vec<FittedTexel>, FitError> {
+        self.models.read(batch)?.ok_or(FitError::Lost { batch })
+    }
+
+    fn batch(&self, batch: usize, how: &HowToFit) -> Result<Vec<FittedTexel>, FitError> {
+        let pages = batch * BATCH..self.source.map.page_count().min((batch + 1) * BATCH);
+        let fitted = pages.into_par_iter().map(|page| self.page(page, how)).collect::<Result<Vec<_>, _>>()?;
+        Ok(fitted.into_iter().flatten().collect())
+    }
+
+    fn page(&self, page: usize, how: &HowToFit) -> Result<Vec<FittedTexel>, FitError> {
+        let (map, pixels) = (self.source.map, self.read(page)?);
+        let columns = map.texels_of_page(page);
+        let observed =
+            columns.iter().enumerate().map(|(column, texel)| (texel, observations_of(map, texel, &pixels, column))).collect::<Vec<_>>();
+        fit_texels(&observed, how)
+    }
+
+    fn read(&self, page: usize) -> Result<std::sync::Arc<Page>, FitError> {
+        let (map, pixels) = (self.source.map, (self.source.read)(PageId(page as u32))?);
+        if map.is_shaped(&pixels) {
+            return Ok(pixels);
+        }
+        let (shape, expected) = (pixels.shape(), map.page_shape(PixelFormat::F32));
+        let expected = (expected.width, expected.height);
+        Err(FitError::PageShape { page: page as u32, width: shape.width, height: shape.height, expected })
+    }
+
+    fn noise_floor(&self) -> Result<f32, FitError> {
+        if let Some(floor) = self.settings.noise_floor {
+            return Ok(floor);
+        }
+        let (mut sum, mut count, pages) = (0f64, 0u64, self.source.map.page_count());
+        for page in (0..pages).step_by(pages.div_ceil(PAGES_FOR_MEAN).max(1)) {
+            for texel in self.read(page)?.to_f32().chunks_exact(4) {
+                let observation = Observation::from_texel([texel[0], texel[1], texel[2], texel[3]]);
+                if observation.state != State::Missing {
+                    sum += observation.radiance.iter().map(|c| f64::from(c.abs())).sum::<f64>();
+                    count += 3;
+                }
+            }
+        }
+        let mean = sum / count.max(1) as f64;
+        Ok(((FLOOR_PER_MEAN * mean) as f32).max(f32::MIN_POSITIVE.sqrt()))
+    }
+
+    /// Which models are kept; with a bound, the bytes that they take, and what all would.
+    fn choose(&self, follow: &dyn FollowFit) -> Result<(Keeping, Option<(u64, BudgetReport)>), FitError> {
+        let Some(max_bytes) = self.settings.max_bytes else { return Ok((Keeping::ALL, None)) };
+        let mut savings = Savings::new();
+        for batch in 0..self.batches() {
+            self.kept(batch)?.iter().for_each(|texel| savings.add(texel));
+        }
+        let (bytes_before, rms_residual_before) = self.measure(Keeping::ALL)?;
+        let before = BudgetReport { max_bytes, bytes_before, rms_residual_before, ..BudgetReport::default() };
+        if bytes_before <= max_bytes {
+            return Ok((Keeping::ALL, Some((bytes_before, before))));
+        }
+        let keeping = |size: u64| savings.keeping(savings.least() + (savings.all - savings.least()) * size / SIZES);
+        // Bytes follow quads; the largest size that fits is sought between one that does and one that does not.
+        let (mut fits, mut bytes, mut too_large) = (0, self.measure(keeping(0))?.0, SIZES);
+        if bytes > max_bytes {
+            return Err(FitError::MaxBytes { max_bytes, least: bytes });
+        }
+        while too_large - fits > 1 {
+            follow.report("choosing models", u64::from(SIZES.ilog2() - (too_large - fits).ilog2()), u64::from(SIZES.ilog2()));
+            if follow.is_cancelled() {
+                return Err(Cancelled.into());
+            }
+            let middle = u64::midpoint(fits, too_large);
+            let measured = self.measure(keeping(middle))?.0;
+            if measured <= max_bytes { (fits, bytes) = (middle, measured) } else { too_large = middle }
+        }
+        Ok((keeping(fits), Some((bytes, before))))
+    }
+
+    /// Bytes of a version with these models, and the residual that they leave.
+    fn measure(&self, keeping: Keeping) -> Result<(u64, f64), FitError> {
+        let mut bytes = self.source.beside_bytes;
+        let packed = self.pack(self.batches(), keeping, &mut |_, page| {
+            bytes += page.stored_bytes();
+            Ok(())
+        })?;
+        let parts = to_parts(&self.map(&packed, None)?)?;
+        Ok((bytes + parts.iter().map(|(_, part)| part.len() as u64).sum::<u64>(), packed.tally.rms_residual()))
+    }
+
+    /// Pages and parts of the first batches' models.
+    fn store(
+        &self,
+        batches: usize,
+        keeping: Keeping,
+        staging: &Staging,
+        partial: Option<PartialFit>,
+    ) -> Result<(Parameters, Packed), FitError> {
+        let present = staging.pages_present();
+        let packed = self.pack(batches, keeping, &mut |page, encoded| {
+            if !present.contains(&page) {
+                staging.append_encoded(page, &encoded)?;
+            }
+            Ok(())
+        })?;
+        let map = self.map(&packed, partial)?;
+        for (name, bytes) in to_parts(&map)? {
+            staging.put_blob(name, &bytes)?;
+        }
+        Ok((map.parameters, packed))
+    }
+
+    fn pack(&self, batches: usize, keeping: Keeping, store: &mut StorePage<'_>) -> Result<Packed, FitError> {
+        let texels = (0..batches).map(|batch| self.kept(batch));
+        pack(texels, self.texels(), keeping, (self.settings.pixel_format, self.settings.codec), store)
+    }
+
+    fn map(&self, packed: &Packed, partial: Option<PartialFit>) -> Result<ParameterMap, FitError> {
+        let (observed, settings) = (self.source.map, self.settings);
+        let texels = TexelTable::new(observed.parameters.size_texels as usize, &packed.codes);
+        let parameters = Parameters {
+            observed: observed.parameters.clone(),
+            observations: self.source.name.into(),
+            models: settings.models.to_string(),
+            outliers: settings.outliers,
+            precision: settings.precision,
+            max_bytes: settings.max_bytes,
+            pixel_format: settings.pixel_format,
+            histogram: packed.tally.summary(0, 0.0).histogram,
+            partial,
+        };
+        let (surface, background) = (observed.surface.clone(), observed.background.clone());
+        let texels = texels.ok_or(FitError::TooLarge { texels: packed.codes.len() })?;
+        Ok(ParameterMap { parameters, surface, background, texels })
+    }
 }
 
 // Quantisation and the tracer's noise are not known here: a 1000th of what is usual is less than either, and ends the search for ever larger
@@ -175,25 +359,6 @@ fn read_page(map: &ObservationMap, read: &ReadObservations<'_>, page: usize) -> 
 const FLOOR_PER_MEAN: f64 = 1e-3;
 // Pages whose mean stands for the map's.
 const PAGES_FOR_MEAN: usize = 16;
-
-fn noise_floor(map: &ObservationMap, read: &ReadObservations<'_>, settings: &ConstructSettings) -> Result<f32, FitError> {
-    if let Some(floor) = settings.noise_floor {
-        return Ok(floor);
-    }
-    let (mut sum, mut count) = (0f64, 0u64);
-    for page in (0..map.page_count()).step_by(map.page_count().div_ceil(PAGES_FOR_MEAN).max(1)) {
-        let page = read_page(map, read, page)?;
-        for texel in page.to_f32().chunks_exact(4) {
-            let observation = Observation::from_texel([texel[0], texel[1], texel[2], texel[3]]);
-            if observation.state != State::Missing {
-                sum += observation.radiance.iter().map(|c| f64::from(c.abs())).sum::<f64>();
-                count += 3;
-            }
-        }
-    }
-    let mean = sum / count.max(1) as f64;
-    Ok(((FLOOR_PER_MEAN * mean) as f32).max(f32::MIN_POSITIVE.sqrt()))
-}
 
 // What was seen of a texel: direction in its frame, and the entry.
 fn observations_of(map: &ObservationMap, texel: &ObservedTexel, page: &Page, column: usize) -> Vec<([f32; 3], Observation)> {
@@ -203,110 +368,4 @@ fn observations_of(map: &ObservationMap, texel: &ObservedTexel, page: &Page, col
         (direction, Observation::from_texel(page.texel(column as u32, row as u32)))
     })
     .collect()
-}
-
-/// Models on their way into pages.
-struct Work<'a> {
-    staging: &'a Staging,
-    settings: &'a ConstructSettings,
-    codes: Vec<u8>,
-    flags: Vec<u8>,
-    size: u32,
-    /// The first page of observations that is not fitted.
-    first_page: usize,
-    /// Pages of quads that are stored.
-    stored: u32,
-    /// Quad that the first of `quads` is, in the map; a multiple of a page's.
-    begin: u64,
-    quads: Vec<f32>,
-}
-
-impl<'a> Work<'a> {
-    /// Where an earlier run stopped: at the first texel whose numbers are not all in stored pages.
-    fn resume(map: &ObservationMap, settings: &'a ConstructSettings, staging: &'a Staging, texels: usize) -> Result<Self, FitError> {
-        let size = map.parameters.size_texels;
-        let mut codes = vec![ModelCode::NONE.number(); texels];
-        map.texels.iter().for_each(|t| codes[t.index as usize] = NOT_YET);
-        let mut work =
-            Self { staging, settings, codes, flags: vec![0; texels], size, first_page: 0, stored: 0, begin: 0, quads: Vec::new() };
-        let saved = staging.blob(TEXELS)?.map(|bytes| decode::<StoredTexels>(TEXELS, &bytes)).transpose()?;
-        let Some(saved) = saved.filter(|s| s.codes.len() == texels && s.flags.len() == texels && s.size == size) else { return Ok(work) };
-        work.stored = staging.pages_present().len() as u32;
-        let whole = u64::from(work.stored) * u64::from(QUADS_PER_PAGE);
-        let mut quad = 0;
-        for (at, texel) in map.texels.iter().enumerate() {
-            let index = texel.index as usize;
-            let Some(code) = ModelCode::from_number(saved.codes[index]) else { break };
-            // Fitting goes on at a whole page of observations.
-            if at % TEXELS_PER_PAGE == 0 {
-                (work.first_page, work.begin) = (at / TEXELS_PER_PAGE, quad);
-            }
-            quad += u64::from(code.quads());
-            if quad > whole {
-                break;
-            }
-            (work.codes[index], work.flags[index]) = (saved.codes[index], saved.flags[index]);
-        }
-        // What is in front of that in its page of quads is stored already; zeros stand for it.
-        let within = work.begin % u64::from(QUADS_PER_PAGE);
-        work.begin -= within;
-        work.quads = vec![0.0; 4 * within as usize];
-        Ok(work)
-    }
-
-    fn push(&mut self, texel: &FittedTexel) -> Result<(), FitError> {
-        let index = texel.index as usize;
-        (self.codes[index], self.flags[index]) = (texel.code.number(), texel.flags.bits());
-        self.quads.extend(texel.quads.as_flattened());
-        while self.quads.len() >= 4 * QUADS_PER_PAGE as usize {
-            self.store_page()?;
-        }
-        Ok(())
-    }
-
-    fn store_page(&mut self) -> Result<(), FitError> {
-        let shape = ParameterMap::page_shape(self.settings.pixel_format);
-        let rest = self.quads.split_off(self.quads.len().min(shape.values()));
-        let mut page = std::mem::replace(&mut self.quads, rest);
-        page.resize(shape.values(), 0.0);
-        let number = (self.begin / u64::from(QUADS_PER_PAGE)) as u32;
-        self.begin += u64::from(QUADS_PER_PAGE);
-        if number >= self.stored {
-            self.staging.append_encoded(PageId(number), &encode_as(self.settings.codec, &shape, &page)?)?;
-            self.stored = number + 1;
-        }
-        Ok(())
-    }
-
-    fn save(&self) -> Result<(), FitError> {
-        let stored = StoredTexels { size: self.size, codes: self.codes.clone(), flags: self.flags.clone() };
-        self.staging.put_blob(TEXELS, &encode(TEXELS, &stored)?)?;
-        Ok(())
-    }
-
-    fn finish(mut self, size: usize) -> Result<TexelTable, FitError> {
-        if !self.quads.is_empty() || self.begin == 0 {
-            self.store_page()?;
-        }
-        let known = |(code, flags): (&u8, &u8)| (ModelCode::from_number(*code).unwrap_or(ModelCode::NONE), Flags::from_bits(*flags));
-        let pairs: Vec<(ModelCode, Flags)> = self.codes.iter().zip(&self.flags).map(known).collect();
-        TexelTable::new(size, &pairs).ok_or(FitError::TooLarge { texels: pairs.len() })
-    }
-}
-
-impl FitSummary {
-    fn count(&mut self, table: &TexelTable) {
-        for at in texel_order(table.size, table.texels.len()) {
-            let texel = table.texels[at];
-            if texel.code == ModelCode::NONE {
-                continue;
-            }
-            *self.histogram.entry(texel.code.name()).or_default() += 1;
-            for (flag, name) in
-                [(Flags::UNRESOLVED, "unresolved"), (Flags::CLIPPED, "clipped"), (Flags::OUTLIERS, "outliers"), (Flags::MISFIT, "misfit")]
-            {
-                *self.flags.entry(name).or_default() += u64::from(texel.flags.contains(flag));
-            }
-        }
-    }
 }

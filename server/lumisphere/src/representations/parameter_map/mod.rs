@@ -11,14 +11,18 @@
 //!
 //! Source: the methods page "Parameter maps" and the thesis behind it, parts II and III.
 
+mod budget;
 mod construct;
+mod kept_models;
 #[cfg(feature = "gpu")]
 mod kernel;
 mod models;
+mod packed_pages;
 mod packing;
 mod reference;
 mod shade;
 mod storage;
+mod summary;
 #[cfg(test)]
 pub(crate) mod tests;
 
@@ -29,7 +33,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::capture::observation_map::ObservationParameters;
 use crate::capture::{Background, SurfaceMesh};
-use crate::fitting::Flags;
+use crate::fitting::{Flags, Outliers, Precision};
 #[cfg(feature = "gpu")]
 use crate::gpu::{Gpu, GpuError};
 #[cfg(feature = "gpu")]
@@ -37,12 +41,13 @@ use crate::representations::GpuKernel;
 use crate::representations::{Captured, CpuKernel, Kind, RenderError, Representation};
 use crate::textures::{PageId, PageShape, PixelFormat};
 
-pub use construct::{ConstructSettings, FitError, FitSummary, ReadObservations, construct};
+pub use construct::{ConstructSettings, FitError, FitSource, FollowFit, PartialMap, ReadObservations, construct};
 #[cfg(all(test, feature = "gpu"))]
 pub(crate) use kernel::SOURCE as KERNEL_SOURCE;
-pub use models::{AllowedModels, UnknownModels};
+pub use models::{AllowedModels, Observed, UnknownModels, fitted_models};
 pub use packing::{ModelCode, Quads};
 pub use storage::{from_parts, to_parts};
+pub use summary::{BudgetReport, FitSummary};
 
 /// Quads along a page's row.
 const PAGE_QUADS: u32 = 128;
@@ -76,10 +81,41 @@ pub struct Parameters {
     pub observations: String,
     /// What models were allowed ("auto", "lobes:1", …).
     pub models: String,
+    /// What became of observations that stand alone.
+    #[serde(default = "kept")]
+    pub outliers: Outliers,
+    /// Of lobes' last digits.
+    #[serde(default = "single")]
+    pub precision: Precision,
+    /// What the version was to take at most.
+    #[serde(default)]
+    pub max_bytes: Option<u64>,
     /// How pages hold numbers.
     pub pixel_format: PixelFormat,
     /// How many texels have which model, by name.
     pub histogram: std::collections::BTreeMap<String, u64>,
+    /// What there was of it, where the fit was still under way.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub partial: Option<PartialFit>,
+}
+
+// What versions were made with that do not say it.
+fn kept() -> Outliers {
+    Outliers::Keep
+}
+
+fn single() -> Precision {
+    Precision::Single
+}
+
+/// How far the fit was that a version shows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PartialFit {
+    /// Texels that had been fitted, and have a model if they were seen.
+    pub texels_fitted: u64,
+    /// All that can be seen.
+    pub texels: u64,
 }
 
 /// Which model every texel has, where its numbers begin, and what the fit says of it.

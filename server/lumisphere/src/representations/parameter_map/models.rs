@@ -4,14 +4,15 @@ use std::fmt;
 use std::str::FromStr;
 
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::{FitError, ModelCode, Quads};
 use crate::capture::observation_map::{Observation, ObservedTexel, State as Seen};
 use crate::fitting::harmonics::{OwnDirectionsFit, Penalty, Samples, Sign};
 use crate::fitting::{
-    Basis, Batch, Choice, Flags, Further, FurtherRung, Model, Noise, Outcome, Outliers, Rung, Samples as TexelSamples, Settings, State,
-    fit_with,
+    Basis, Batch, Choice, Flags, Further, FurtherRung, Model, Noise, Outcome, Outliers, Precision, Rung, Samples as TexelSamples, Settings,
+    State, fit_with,
 };
 
 /// Which models a fit may choose from.
@@ -64,29 +65,113 @@ impl FromStr for AllowedModels {
     }
 }
 
-/// A texel's model, packed.
-#[derive(Debug, Clone, PartialEq)]
+/// A texel's models, packed.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct FittedTexel {
     /// In the map.
     pub index: u32,
-    pub code: ModelCode,
-    pub flags: Flags,
-    pub quads: Quads,
-    /// What the model leaves, over `samples` numbers.
-    pub sum_of_squares: f64,
+    /// Numbers observed that no model's residual leaves out: three for each observation that is not clipped.
     pub samples: u64,
+    /// The one that the fit chose comes last, before it the smaller ones that could stand for it; none where nothing was seen.
+    pub rungs: Vec<FittedRung>,
+}
+
+/// A model that a texel may be stored with.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct FittedRung {
+    /// [`ModelCode::number`].
+    pub code: u8,
+    /// [`Flags::bits`].
+    pub flags: u8,
+    pub quads: Quads,
+    /// What the model leaves, over all `samples`.
+    pub sum_of_squares: f64,
+}
+
+/// How texels are fitted.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct HowToFit {
+    pub models: AllowedModels,
+    pub noise: Noise,
+    pub outliers: Outliers,
+    pub precision: Precision,
+    pub rungs: Rungs,
+}
+
+/// Which models of a texel are kept.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Rungs {
+    /// What the fit chose.
+    Chosen,
+    /// The smaller ones, too.
+    AndSmaller,
 }
 
 /// One texel's observations: direction in its frame and entry.
-pub(super) type Observed<'a> = (&'a ObservedTexel, Vec<([f32; 3], Observation)>);
+pub type Observed<'a> = (&'a ObservedTexel, Vec<([f32; 3], Observation)>);
+
+/// One kind of fit.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Asked {
+    Ladder(Choice),
+    Harmonics(u32),
+}
+
+impl AllowedModels {
+    fn asked(self) -> Asked {
+        match self {
+            Self::Auto => Asked::Ladder(Choice::Auto { lobes_at_most: MOST_LOBES }),
+            Self::Constant => Asked::Ladder(Choice::Exactly(Rung::Constant)),
+            Self::Phong(lobes) => Asked::Ladder(Choice::Exactly(Rung::Lobes(lobes as usize))),
+            Self::Harmonics(count) => Asked::Harmonics(count),
+        }
+    }
+
+    // Models that may stand for what was chosen among these; whether one is smaller, its size says.
+    fn stand_ins(self) -> Vec<Asked> {
+        let lobes = |most: usize| (1..=most).map(|count| Asked::Ladder(Choice::Exactly(Rung::Lobes(count))));
+        let flat = [Rung::Constant, Rung::CosinePower].map(|rung| Asked::Ladder(Choice::Exactly(rung)));
+        let further = match self {
+            Self::Auto => lobes(MOST_LOBES).chain([Asked::Harmonics(LAST_RUNGS[0] as u32)]).collect(),
+            Self::Constant => Vec::new(),
+            Self::Phong(most) => lobes(most as usize).collect(),
+            Self::Harmonics(most) => [4, 16, 36, 64].into_iter().filter(|count| *count < most).map(Asked::Harmonics).collect(),
+        };
+        flat.into_iter().chain(further).collect()
+    }
+}
 
 /// The models of some texels, in order. A texel that nobody saw has none.
-pub(super) fn fit_texels(observed: &[Observed<'_>], models: AllowedModels, noise: Noise) -> Result<Vec<FittedTexel>, FitError> {
-    let choice = match models {
-        AllowedModels::Auto => Choice::Auto { lobes_at_most: MOST_LOBES },
-        AllowedModels::Constant => Choice::Exactly(Rung::Constant),
-        AllowedModels::Phong(lobes) => Choice::Exactly(Rung::Lobes(lobes as usize)),
-        AllowedModels::Harmonics(count) => return harmonics(observed, count),
+pub(super) fn fit_texels(observed: &[Observed<'_>], how: &HowToFit) -> Result<Vec<FittedTexel>, FitError> {
+    let of = |(texel, seen): &Observed<'_>| FittedTexel { index: texel.index, samples: samples(seen), rungs: Vec::new() };
+    let mut fitted: Vec<FittedTexel> = observed.iter().map(of).collect();
+    let chosen = rungs(&observed.iter().collect::<Vec<_>>(), how.models.asked(), how)?;
+    if how.rungs == Rungs::AndSmaller {
+        for asked in how.models.stand_ins() {
+            let is_larger = |at: &usize| chosen[*at].as_ref().is_some_and(|rung| rung.quads.len() > asked.quads());
+            let these: Vec<usize> = (0..observed.len()).filter(is_larger).collect();
+            let smaller = rungs(&these.iter().map(|at| &observed[*at]).collect::<Vec<_>>(), asked, how)?;
+            these.iter().zip(smaller).for_each(|(at, rung)| fitted[*at].rungs.extend(rung));
+        }
+    }
+    fitted.iter_mut().zip(chosen).for_each(|(texel, rung)| texel.rungs.extend(rung));
+    Ok(fitted)
+}
+
+impl Asked {
+    fn quads(self) -> usize {
+        match self {
+            Self::Ladder(Choice::Exactly(Rung::Lobes(count))) => 1 + 2 * count,
+            Self::Ladder(_) => 1,
+            Self::Harmonics(count) => 3 * (count as usize).div_ceil(4),
+        }
+    }
+}
+
+fn rungs(observed: &[&Observed<'_>], asked: Asked, how: &HowToFit) -> Result<Vec<Option<FittedRung>>, FitError> {
+    let choice = match asked {
+        Asked::Ladder(choice) => choice,
+        Asked::Harmonics(count) => return harmonics(observed, count),
     };
     let mut batch = Batch::new();
     for (_, seen) in observed {
@@ -94,13 +179,17 @@ pub(super) fn fit_texels(observed: &[Observed<'_>], models: AllowedModels, noise
         let states: Vec<State> = seen.iter().map(|(_, o)| state(o.state)).collect();
         batch.push(&directions, &values, &states).expect("three vectors of one length");
     }
-    let settings = Settings { outliers: Outliers::Keep, ..Settings::new(choice, noise) };
+    let settings = Settings { outliers: how.outliers, precision: how.precision, ..Settings::new(choice, how.noise) };
     let outcomes = fit_with(&batch, &settings, Some(&HarmonicsRung::new()))?;
-    let one = |((texel, seen), outcome): (&Observed<'_>, &Outcome)| match outcome.fit() {
-        Some(fit) => packed(texel, seen, Some(&fit.model), fit.flags),
-        None => packed(texel, seen, None, Flags::NONE),
-    };
+    let one = |((_, seen), outcome): (&&Observed<'_>, &Outcome)| outcome.fit().and_then(|fit| packed(seen, &fit.model, fit.flags));
     Ok(observed.iter().zip(&outcomes).map(one).collect())
+}
+
+/// The models of some texels, in order, as they would be stored; None for a texel that nobody saw.
+pub fn fitted_models(observed: &[Observed<'_>], models: AllowedModels, noise: Noise) -> Result<Vec<Option<Model>>, FitError> {
+    let how = HowToFit { models, noise, outliers: Outliers::Keep, precision: Precision::Single, rungs: Rungs::Chosen };
+    let model = |texel: FittedTexel| texel.rungs.last().and_then(|rung| ModelCode::from_number(rung.code)?.unpack(&rung.quads));
+    Ok(fit_texels(observed, &how)?.into_iter().map(model).collect())
 }
 
 fn state(state: Seen) -> State {
@@ -110,17 +199,19 @@ fn state(state: Seen) -> State {
     }
 }
 
-/// A texel with its model, or with none.
-fn packed(texel: &ObservedTexel, seen: &[([f32; 3], Observation)], model: Option<&Model>, flags: Flags) -> FittedTexel {
-    let (code, quads) = model.map_or((ModelCode::NONE, Vec::new()), ModelCode::pack);
-    let mut fitted = FittedTexel { index: texel.index, code, flags, quads, sum_of_squares: 0.0, samples: 0 };
-    let Some(model) = model else { return fitted };
-    for (direction, observation) in seen.iter().filter(|entry| is_whole(entry)) {
+// A model that cannot be stored is none.
+fn packed(seen: &[([f32; 3], Observation)], model: &Model, flags: Flags) -> Option<FittedRung> {
+    let (code, quads) = ModelCode::pack(model);
+    let residual = |(direction, observation): &([f32; 3], Observation)| {
         let said = model.eval(*direction);
-        fitted.sum_of_squares += (0..3).map(|c| f64::from(said[c] - observation.radiance[c]).powi(2)).sum::<f64>();
-        fitted.samples += 3;
-    }
-    fitted
+        (0..3).map(|c| f64::from(said[c] - observation.radiance[c]).powi(2)).sum::<f64>()
+    };
+    let sum_of_squares = seen.iter().filter(|entry| is_whole(entry)).map(residual).sum();
+    (code != ModelCode::NONE).then(|| FittedRung { code: code.number(), flags: flags.bits(), quads, sum_of_squares })
+}
+
+fn samples(seen: &[([f32; 3], Observation)]) -> u64 {
+    3 * seen.iter().filter(|entry| is_whole(entry)).count() as u64
 }
 
 // Seen from above the horizon, no channel clipped.
@@ -130,22 +221,22 @@ fn is_whole((direction, observation): &([f32; 3], Observation)) -> bool {
 
 /// Hemispherical harmonics, penalised as cross-validation says and nowhere negative. Clipped observations are left out; all others weigh the same,
 /// since what few harmonics cannot say is more than noise.
-fn harmonics(observed: &[Observed<'_>], count: u32) -> Result<Vec<FittedTexel>, FitError> {
+fn harmonics(observed: &[&Observed<'_>], count: u32) -> Result<Vec<Option<FittedRung>>, FitError> {
     let solver = OwnDirectionsFit::new(Basis::Hemispherical, count as usize)?;
-    Ok(observed.par_iter().map(|(texel, seen)| harmonics_of(texel, seen, &solver)).collect())
+    Ok(observed.par_iter().map(|(_, seen)| harmonics_of(seen, &solver)).collect())
 }
 
-fn harmonics_of(texel: &ObservedTexel, seen: &[([f32; 3], Observation)], solver: &OwnDirectionsFit) -> FittedTexel {
+fn harmonics_of(seen: &[([f32; 3], Observation)], solver: &OwnDirectionsFit) -> Option<FittedRung> {
     let whole: Vec<&([f32; 3], Observation)> = seen.iter().filter(|entry| is_whole(entry)).collect();
     let axis = |k: usize| whole.iter().map(|(direction, _)| direction[k]).collect::<Vec<f32>>();
     let channel = |c: usize| whole.iter().map(|(_, o)| o.radiance[c]).collect::<Vec<f32>>();
     let (directions, values, weights) = ([0, 1, 2].map(axis), [0, 1, 2].map(channel), vec![1.0; whole.len()]);
     let samples =
         Samples { directions: directions.each_ref().map(Vec::as_slice), values: values.each_ref().map(Vec::as_slice), weights: &weights };
-    let fit = solver.fit(samples, Penalty::CrossValidated, Sign::NotNegative).ok();
-    let model = fit.map(|fit| Model::Harmonics { basis: Basis::Hemispherical, coefficients: fit.coefficients });
+    let fit = solver.fit(samples, Penalty::CrossValidated, Sign::NotNegative).ok()?;
+    let model = Model::Harmonics { basis: Basis::Hemispherical, coefficients: fit.coefficients };
     let is_clipped = seen.iter().any(|(_, o)| matches!(o.state, Seen::Seen { clipped } if clipped != 0));
-    packed(texel, seen, model.as_ref(), if is_clipped { Flags::CLIPPED } else { Flags::NONE })
+    packed(seen, &model, if is_clipped { Flags::CLIPPED } else { Flags::NONE })
 }
 
 /// What `auto` tries last, where lobes leave more than noise: numbers of hemispherical harmonics.

@@ -9,16 +9,14 @@ use crate::fitting::Flags;
 
 const SURFACE: &str = "surface";
 const BACKGROUND: &str = "background";
-pub(super) const TEXELS: &str = "texels";
-/// In the place of a model's number while a fit is under way.
-pub(super) const NOT_YET: u8 = u8::MAX;
+const TEXELS: &str = "texels";
 
 /// [`TexelTable`] without what follows from it.
 #[derive(Serialize, Deserialize)]
-pub(super) struct StoredTexels {
-    pub size: u32,
-    pub codes: Vec<u8>,
-    pub flags: Vec<u8>,
+struct StoredTexels {
+    size: u32,
+    codes: Vec<u8>,
+    flags: Vec<u8>,
 }
 
 /// The named parts to store beside the pages.

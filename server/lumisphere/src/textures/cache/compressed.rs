@@ -15,14 +15,21 @@ pub(super) struct CompressedTier {
     state: Mutex<State>,
 }
 
+/// Names a block for good: its version's slot beside the key, which distant versions share.
+pub(super) type BlockId = (u32, PageKey);
+
 #[derive(Debug)]
 struct State {
     policy: Box<dyn Policy>,
     kind: PolicyKind,
-    frame_of: HashMap<PageKey, u32>,
-    frames: Vec<Option<(PageKey, Arc<[u8]>)>>,
+    frame_of: HashMap<BlockId, u32>,
+    frames: Vec<Option<(BlockId, Arc<[u8]>)>>,
     free: Vec<u32>,
-    stats: CompressedStats,
+    budget: u64,
+    resident_bytes: u64,
+    peak_bytes: u64,
+    /// By version slot; without the budget.
+    shares: Vec<CompressedStats>,
 }
 
 fn charge(bytes: &[u8]) -> u64 {
@@ -31,9 +38,19 @@ fn charge(bytes: &[u8]) -> u64 {
 
 impl CompressedTier {
     pub fn new(budget: u64, kind: PolicyKind) -> Self {
-        let stats = CompressedStats { budget_bytes: budget, ..CompressedStats::default() };
-        let state = State { policy: kind.make(budget), kind, frame_of: HashMap::new(), frames: vec![], free: vec![], stats };
-        Self { state: Mutex::new(state) }
+        Self {
+            state: Mutex::new(State {
+                policy: kind.make(budget),
+                kind,
+                frame_of: HashMap::new(),
+                frames: vec![],
+                free: vec![],
+                budget,
+                resident_bytes: 0,
+                peak_bytes: 0,
+                shares: vec![],
+            }),
+        }
     }
 
     fn state(&self) -> MutexGuard<'_, State> {
@@ -48,60 +65,76 @@ impl CompressedTier {
 
     /// Whether it may hold anything.
     pub fn is_on(&self) -> bool {
-        self.state().stats.budget_bytes > 0
+        self.state().budget > 0
     }
 
-    pub fn get(&self, key: PageKey) -> Option<Arc<[u8]>> {
+    pub fn get(&self, id: BlockId) -> Option<Arc<[u8]>> {
         let state = &mut *self.state();
-        state.stats.look_ups += 1;
-        let Some(&frame) = state.frame_of.get(&key) else {
-            state.stats.misses += 1;
-            return None;
-        };
-        state.stats.hits += 1;
+        let found = state.frame_of.get(&id).copied();
+        let share = state.share(id);
+        share.look_ups += 1;
+        share.hits += u64::from(found.is_some());
+        share.misses += u64::from(found.is_none());
+        let frame = found?;
         state.policy.touch(frame);
         state.frames[frame as usize].as_ref().map(|(_, bytes)| bytes.clone())
     }
 
     /// Keeps a block that has proved to be what was written.
-    pub fn keep(&self, key: PageKey, bytes: Arc<[u8]>) {
+    pub fn keep(&self, id: BlockId, bytes: Arc<[u8]>) {
         let state = &mut *self.state();
         let weight = charge(&bytes);
-        if weight > state.stats.budget_bytes || state.frame_of.contains_key(&key) {
+        if weight > state.budget || state.frame_of.contains_key(&id) {
             return;
         }
-        state.policy.expect(key, weight);
-        state.evict_down_to(state.stats.budget_bytes - weight);
+        state.policy.expect(id.1, weight);
+        state.evict_down_to(state.budget - weight);
         let frame = state.free.pop().unwrap_or_else(|| {
             state.frames.push(None);
             state.frames.len() as u32 - 1
         });
-        state.frames[frame as usize] = Some((key, bytes));
-        state.frame_of.insert(key, frame);
-        state.policy.insert(frame, key, weight);
-        state.stats.resident_blocks += 1;
-        state.stats.resident_bytes += weight;
-        state.stats.peak_bytes = state.stats.peak_bytes.max(state.stats.resident_bytes);
-        debug_assert!(state.stats.resident_bytes <= state.stats.budget_bytes);
+        state.frames[frame as usize] = Some((id, bytes));
+        state.frame_of.insert(id, frame);
+        state.policy.insert(frame, id.1, weight);
+        state.resident_bytes += weight;
+        state.peak_bytes = state.peak_bytes.max(state.resident_bytes);
+        let share = state.share(id);
+        share.resident_blocks += 1;
+        share.resident_bytes += weight;
+        share.peak_bytes = share.peak_bytes.max(share.resident_bytes);
+        debug_assert!(state.resident_bytes <= state.budget);
     }
 
-    pub fn stats(&self) -> (CompressedStats, PolicyKind) {
+    /// Of all versions, and by version slot.
+    pub fn stats(&self) -> (CompressedStats, PolicyKind, Vec<CompressedStats>) {
         let state = self.state();
-        (state.stats, state.kind)
+        let shares: Vec<_> = state.shares.iter().map(|share| CompressedStats { budget_bytes: state.budget, ..*share }).collect();
+        let nothing = CompressedStats { budget_bytes: state.budget, peak_bytes: state.peak_bytes, ..CompressedStats::default() };
+        let total = shares.iter().fold(nothing, |sum, share| CompressedStats {
+            look_ups: sum.look_ups + share.look_ups,
+            hits: sum.hits + share.hits,
+            misses: sum.misses + share.misses,
+            evictions: sum.evictions + share.evictions,
+            resident_blocks: sum.resident_blocks + share.resident_blocks,
+            resident_bytes: sum.resident_bytes + share.resident_bytes,
+            // Versions have theirs at different times.
+            ..sum
+        });
+        (total, state.kind, shares)
     }
 
     pub fn set_budget(&self, bytes: u64) {
         let mut state = self.state();
-        state.stats.budget_bytes = bytes;
+        state.budget = bytes;
         state.policy.set_capacity(bytes);
         state.evict_down_to(bytes);
     }
 
     pub fn set_policy(&self, kind: PolicyKind) {
         let state = &mut *self.state();
-        let mut policy = kind.make(state.stats.budget_bytes);
+        let mut policy = kind.make(state.budget);
         while let Some(frame) = state.policy.evict() {
-            let (key, bytes) = state.frames[frame as usize].as_ref().expect("a frame in the policy's order is occupied");
+            let ((_, key), bytes) = state.frames[frame as usize].as_ref().expect("a frame in the policy's order is occupied");
             policy.insert(frame, *key, charge(bytes));
         }
         (state.policy, state.kind) = (policy, kind);
@@ -111,9 +144,10 @@ impl CompressedTier {
         self.state().evict_down_to(0);
     }
 
-    pub fn forget_peak(&self) {
-        let stats = &mut self.state().stats;
-        stats.peak_bytes = stats.resident_bytes;
+    pub fn forget_peaks(&self) {
+        let state = &mut *self.state();
+        state.peak_bytes = state.resident_bytes;
+        state.shares.iter_mut().for_each(|share| share.peak_bytes = share.resident_bytes);
     }
 
     pub fn begin_frame(&self) {
@@ -122,15 +156,50 @@ impl CompressedTier {
 }
 
 impl State {
-    fn evict_down_to(&mut self, bytes: u64) {
-        while self.stats.resident_bytes > bytes {
-            let frame = self.policy.evict().expect("resident bytes belong to frames in the policy's order");
-            let (key, block) = self.frames[frame as usize].take().expect("a frame in the policy's order is occupied");
-            self.frame_of.remove(&key);
-            self.free.push(frame);
-            self.stats.evictions += 1;
-            self.stats.resident_blocks -= 1;
-            self.stats.resident_bytes -= charge(&block);
+    fn share(&mut self, (version, _): BlockId) -> &mut CompressedStats {
+        let at = version as usize;
+        if self.shares.len() <= at {
+            self.shares.resize(at + 1, CompressedStats::default());
         }
+        &mut self.shares[at]
+    }
+
+    fn evict_down_to(&mut self, bytes: u64) {
+        while self.resident_bytes > bytes {
+            let frame = self.policy.evict().expect("resident bytes belong to frames in the policy's order");
+            let (id, block) = self.frames[frame as usize].take().expect("a frame in the policy's order is occupied");
+            self.frame_of.remove(&id);
+            self.free.push(frame);
+            self.resident_bytes -= charge(&block);
+            let share = self.share(id);
+            share.evictions += 1;
+            share.resident_blocks -= 1;
+            share.resident_bytes -= charge(&block);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Their keys are the same, and what one wrote would be damage to the other.
+    #[test]
+    fn versions_far_apart_do_not_share_blocks_and_have_counters_of_their_own() {
+        let tier = CompressedTier::new(1000, PolicyKind::Lru);
+        let key = PageKey(7);
+        let [near, far] = [(1, key), (1 + (1 << 12), key)];
+        tier.keep(near, [1; 100].into());
+        assert!(tier.get(far).is_none());
+        tier.keep(far, [2; 600].into());
+        assert_eq!((tier.get(near).as_deref(), tier.get(far).as_deref()), (Some(&[1; 100][..]), Some(&[2; 600][..])));
+        // No room for three.
+        tier.keep((1, PageKey(8)), [3; 100].into());
+        let (total, _, shares) = tier.stats();
+        let share = |(version, _): BlockId| shares[version as usize];
+        let told = |s: CompressedStats| [s.look_ups, s.hits, s.misses, s.evictions, s.resident_blocks, s.resident_bytes, s.peak_bytes];
+        assert_eq!(told(share(near)), [1, 1, 0, 1, 1, 228, 228]);
+        assert_eq!(told(share(far)), [2, 1, 1, 0, 1, 728, 728]);
+        assert_eq!(told(total), [3, 2, 1, 1, 2, 956, 956]);
     }
 }

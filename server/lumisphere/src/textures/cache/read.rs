@@ -126,9 +126,9 @@ impl Miss<'_> {
         let blocks = decoder.as_ref().map_or_else(|| header.codec.blocks_for(&rows), |d| d.blocks_up_to(&header.blocks, rows.end));
         let unpacked = if decoder.is_some() { rows.len() as u32 } else { header.codec.unpacked_rows(&header.shape, &rows) };
         let first = blocks.start;
-        let key = |block| self.slots.key(Part::Block(block));
+        let id = |block| (self.slots.version, self.slots.key(Part::Block(block)));
         let is_on = compressed.is_on();
-        let held: Vec<Option<Arc<[u8]>>> = blocks.clone().map(|block| is_on.then(|| compressed.get(key(block)))?).collect();
+        let held: Vec<Option<Arc<[u8]>>> = blocks.clone().map(|block| is_on.then(|| compressed.get(id(block)))?).collect();
         PACKED.with_borrow_mut(|packed| {
             let started = Instant::now();
             let places = self.read_missing(header, blocks.clone(), &held, packed)?;
@@ -152,7 +152,7 @@ impl Miss<'_> {
             // Only what has proved to be intact is kept.
             if is_on {
                 for (block, _) in blocks.zip(&held).filter(|(_, held)| held.is_none()) {
-                    compressed.keep(key(block), packed[places[(block - first) as usize].clone()].into());
+                    compressed.keep(id(block), packed[places[(block - first) as usize].clone()].into());
                 }
             }
             Ok(page)

@@ -123,6 +123,8 @@ pub struct CompressedStats {
 /// One dataset version's part.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct VersionStats {
+    /// [`DatasetVersion::slot`](crate::textures::DatasetVersion::slot): no other version of this process has it.
+    pub slot: u32,
     /// Dataset's name.
     pub dataset: String,
     /// From 1.
@@ -131,6 +133,8 @@ pub struct VersionStats {
     pub strategy: ReadStrategy,
     /// Its events and what it has, and had, resident; the budget is the whole cache's.
     pub decoded: CacheStats,
+    /// The same of its compressed blocks.
+    pub compressed: CompressedStats,
 }
 
 /// Everything at once.

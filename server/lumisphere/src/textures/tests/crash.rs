@@ -295,7 +295,7 @@ fn a_deletion_killed_at_any_step_leaves_the_dataset_whole_or_absent() {
 fn a_torn_segment_keeps_its_whole_records() {
     let reference = tempfile::tempdir().unwrap();
     let expected = publish(&open(reference.path()).0, 4).manifest().segments.clone();
-    let record = |page| segment::encoded_record_bytes(&encode(&small(), &texels(&small(), page)).unwrap());
+    let record = |page| encode(&small(), &texels(&small(), page)).unwrap().stored_bytes();
     let ends: Vec<u64> = (0..4).scan(0, |end, page| Some(*end + record(page)).inspect(|&e| *end = e)).collect();
     let cuts = (0..=16).map(|i| ends[3] * i / 16).chain(ends.iter().flat_map(|&end| [end - 1, end]));
     for cut in cuts {

@@ -53,7 +53,7 @@ fn a_flipped_byte_in_a_block_costs_that_block_only() {
     let version = publish(&store, 3);
     // Page 1's record starts where page 0's ends; its second block lies somewhere behind its header and first block.
     let encoded = encode(&small(), &texels(&small(), 1)).unwrap();
-    let record = segment::encoded_record_bytes(&encode(&small(), &texels(&small(), 0)).unwrap()) as usize;
+    let record = encode(&small(), &texels(&small(), 0)).unwrap().stored_bytes() as usize;
     let second = record + 40 + 3 * 16 + encoded.blocks[1].offset as usize + 5;
     flip(&only_file(root.path(), "segments"), second);
     let error = version.read_page(PageId(1)).unwrap_err();

@@ -164,3 +164,59 @@ fn the_cache_reads_a_version_once_and_counts_what_it_cost() {
     assert_eq!(cache.stats().hits, 4);
     assert!(cache.page(&version, PageId(3)).is_err());
 }
+
+#[test]
+fn older_versions_go_for_good_and_who_reads_one_goes_on() {
+    let root = tempfile::tempdir().unwrap();
+    let (store, _) = open(root.path());
+    let first = publish(&store, 2);
+    let staging = store.stage("d", "second").unwrap();
+    append(&staging, 5..6);
+    staging.append_page(PageId(0), &small(), &texels(&small(), 9)).unwrap();
+    // The first version's blob is this one's, too.
+    staging.put_blob("geometry", b"four corners").unwrap();
+    assert!(staging.publish(publication()).is_err(), "pages have a hole");
+    let staging = store.stage("d", "third").unwrap();
+    append(&staging, 0..3);
+    staging.put_blob("geometry", b"four corners").unwrap();
+    let last = staging.publish(publication()).unwrap();
+    store.stage("d", "second").unwrap().abandon().unwrap();
+    let segments = || std::fs::read_dir(root.path().join("segments")).unwrap().count();
+    assert_eq!((segments(), store.versions("d").unwrap()), (2, vec![1, 2]));
+    store.delete_older_versions("d").unwrap();
+    assert_eq!((segments(), store.versions("d").unwrap()), (1, vec![2]));
+    assert!(matches!(store.open_version("d", Some(1)), Err(StoreError::NotFound { .. })));
+    assert_whole(&first, 2);
+    assert_whole(&last, 3);
+    // Numbers go on, and nothing to delete is nothing to complain about.
+    store.delete_older_versions("d").unwrap();
+    drop((first, last));
+    assert_eq!(open_report_is_clean(store, root.path()), ["d"]);
+    let (store, _) = open(root.path());
+    assert_eq!(store.versions("d").unwrap(), [2]);
+    assert_whole(&store.open_version("d", None).unwrap(), 3);
+}
+
+#[test]
+fn scratch_is_found_by_who_resumes_is_checked_and_goes_with_the_staging() {
+    let root = tempfile::tempdir().unwrap();
+    let (store, _) = open(root.path());
+    store.create_dataset("d").unwrap();
+    let staging = store.stage("d", "t").unwrap();
+    staging.put_scratch("models-000001", b"some").unwrap();
+    staging.put_scratch("models-000001", b"others").unwrap();
+    drop(staging);
+    let staging = store.stage("d", "t").unwrap();
+    assert_eq!(staging.scratch("models-000001").unwrap().as_deref(), Some(&b"others"[..]));
+    assert_eq!(staging.scratch("models-000002").unwrap(), None);
+    let path = root.path().join("staging/t/scratch/models-000001");
+    let mut bytes = std::fs::read(&path).unwrap();
+    *bytes.last_mut().unwrap() ^= 1;
+    std::fs::write(&path, &bytes).unwrap();
+    assert!(matches!(staging.scratch("models-000001"), Err(StoreError::DamagedFile { .. })));
+    std::fs::write(&path, b"short").unwrap();
+    assert!(matches!(staging.scratch("models-000001"), Err(StoreError::DamagedFile { .. })));
+    append(&staging, 0..1);
+    let version = staging.publish(publication()).unwrap();
+    assert!(version.manifest().blobs.is_empty() && !root.path().join("staging/t").exists());
+}

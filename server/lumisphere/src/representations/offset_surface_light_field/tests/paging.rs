@@ -12,7 +12,7 @@ use super::fixture::{WORLD, World, stored};
 use super::{EVERYTHING, mirror};
 use crate::directions::{Texel, bilinear_footprint};
 use crate::geometry::Camera;
-use crate::gpu::test_gpu;
+use crate::gpu::{GpuCacheStats, test_gpu};
 use crate::images::{Tolerance, count_beyond};
 use crate::render::{Backend, Renderer};
 use crate::representations::offset_surface_light_field::{Blend, Filter, OffsetSurfaceLightField, Settings};
@@ -332,6 +332,66 @@ fn only_rows_that_frames_want_are_uploaded_each_once_and_the_picture_is_that_of_
     }
 }
 
+/// Room for one of two: each frame of the other displaces what there was.
+#[test]
+fn counters_of_versions_that_displace_each_other_make_those_of_the_tier() {
+    if test_gpu().is_none() {
+        return;
+    }
+    let (field, pages) = WORLD.build();
+    let renderer = Renderer::with_gpu(BUDGET).unwrap();
+    let roots = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
+    let cache = Arc::new(Cache::new(CacheOptions::decoded(BUDGET)));
+    let datasets: Vec<(Arc<dyn Representation>, CachedPages)> = roots
+        .iter()
+        .map(|root| (Arc::new(field.clone()) as _, CachedPages { cache: cache.clone(), version: stored(root.path(), &pages) }))
+        .collect();
+    let settings = AnySettings::OffsetSurfaceLightField(mirror(Blend::Distance));
+    // As large as what is drawn at once: it takes all that any frame takes beside its pages.
+    let camera = &WORLD.camera(3.0 * Vec3::Z, Vec3::ZERO, 720, 720);
+    let draw = |which: usize| {
+        let request = FrameRequest { camera, settings: &settings, outputs: EVERYTHING, refine: Refine::Whole };
+        let (field, pages) = &datasets[which];
+        let frame = renderer.render(field, pages, &request, Some(Backend::Gpu)).unwrap();
+        assert_eq!(frame.stats.backend, Backend::Gpu, "{:?}", frame.stats.fallback);
+        frame.stats.gpu.unwrap().pages_uploaded as u64
+    };
+    let of_version = |which: usize| {
+        let all = renderer.gpu_stats_by_version();
+        all.into_iter().find(|(slot, _)| *slot == datasets[which].1.version.slot()).map(|(_, stats)| stats).unwrap_or_default()
+    };
+    let sums_up = || {
+        let (mut sum, whole) = (GpuCacheStats::default(), renderer.gpu_stats().unwrap());
+        renderer.gpu_stats_by_version().iter().for_each(|(_, stats)| sum.add(stats));
+        assert_eq!(GpuCacheStats { peak_device_bytes: whole.peak_device_bytes, budget_bytes: whole.budget_bytes, ..sum }, whole);
+        whole
+    };
+    draw(0);
+    let alone = sums_up();
+    assert_eq!(of_version(0), alone);
+    renderer.set_gpu_budget(alone.device_bytes * 3 / 2);
+    for turn in 1..5 {
+        let (drawn, other) = (turn % 2, 1 - turn % 2);
+        let (own, left) = (of_version(drawn), of_version(other));
+        let uploaded = draw(drawn);
+        let (own_now, left_now) = (of_version(drawn), of_version(other));
+        assert_eq!((own_now.uploads - own.uploads, own_now.evictions), (uploaded, own.evictions));
+        let gone = GpuCacheStats {
+            evictions: left.evictions + left.resident_pages,
+            resident_pages: 0,
+            resident_bytes: 0,
+            device_bytes: 0,
+            ..left
+        };
+        assert_eq!(left_now, gone, "turn {turn}");
+        assert!(left.resident_pages > 0 && own_now.device_bytes == own_now.peak_device_bytes, "{own_now:?}");
+        sums_up();
+    }
+    renderer.forget_gpu_peaks();
+    let held = |which: usize| (of_version(which).peak_device_bytes, of_version(which).device_bytes);
+    assert_eq!((held(1), held(0).0), ((0, 0), sums_up().device_bytes));
+}
+
 #[test]
 fn budget_and_policy_change_between_frames_and_the_picture_does_not() {
     if test_gpu().is_none() {
@@ -353,7 +413,7 @@ fn budget_and_policy_change_between_frames_and_the_picture_does_not() {
         [(48 << 20, PolicyKind::S3Fifo), (46 << 20, PolicyKind::Arc), (45 << 20, PolicyKind::FrameLru), (BUDGET, PolicyKind::Clock)]
     {
         renderer.set_gpu_budget(budget);
-        renderer.forget_gpu_peak();
+        renderer.forget_gpu_peaks();
         renderer.set_gpu_policy(policy);
         assert_eq!(renderer.gpu_policy(), Some(policy));
         let frame = draw();
@@ -370,6 +430,6 @@ fn budget_and_policy_change_between_frames_and_the_picture_does_not() {
     assert_eq!(draw().stats.backend, Backend::Cpu);
     // What was held once stays told.
     assert_eq!(renderer.gpu_stats().unwrap().peak_device_bytes, stats.peak_device_bytes);
-    renderer.forget_gpu_peak();
+    renderer.forget_gpu_peaks();
     assert_eq!(renderer.gpu_stats().unwrap().peak_device_bytes, renderer.gpu_bytes());
 }

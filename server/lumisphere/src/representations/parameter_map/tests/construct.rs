@@ -9,9 +9,12 @@ use super::fixture::WORLD;
 use crate::capture::observation_map::{Observation, ObservationMap, ObservationParameters, ObservedTexel, Observer, State, tiled_order};
 use crate::capture::{Background, surface_texels};
 use crate::directions::Scheme;
-use crate::fitting::{Basis, Lobe, Model};
+use crate::fitting::{Basis, Lobe, Model, Outliers, Precision};
 use crate::progress::{Progress, Unattended};
-use crate::representations::parameter_map::{AllowedModels, ConstructSettings, FitError, ModelCode, construct};
+use crate::representations::parameter_map::{
+    AllowedModels, ConstructSettings, FitError, FitSource, FitSummary, FollowFit, ModelCode, PartialFit, PartialMap, ReadObservations,
+    construct, from_parts,
+};
 use crate::scenes::Environment;
 use crate::textures::{Codec, DatasetVersion, Page, PageId, PixelFormat, Publication, Staging, Store, StoreError, StoreOptions};
 
@@ -78,8 +81,20 @@ fn observations() -> (ObservationMap, Vec<Arc<Page>>) {
 }
 
 fn settings() -> ConstructSettings {
-    let models = "auto".parse().unwrap();
-    ConstructSettings { models, noise_floor: None, relative_noise: 0.0, pixel_format: PixelFormat::F32, codec: Codec::ZstdChunk }
+    ConstructSettings {
+        models: "auto".parse().unwrap(),
+        noise_floor: None,
+        relative_noise: 0.0,
+        outliers: Outliers::Keep,
+        precision: Precision::Single,
+        max_bytes: None,
+        pixel_format: PixelFormat::F32,
+        codec: Codec::ZstdChunk,
+    }
+}
+
+fn source<'a>(map: &'a ObservationMap, read: &'a ReadObservations<'a>) -> FitSource<'a> {
+    FitSource { map, read, name: "sheet", beside_bytes: 0 }
 }
 
 fn publication() -> Publication {
@@ -97,10 +112,20 @@ impl Progress for CancelAt {
     }
 }
 
+impl FollowFit for CancelAt {
+    fn fitted(&self, _so_far: &FitSummary) {}
+    fn offer(&self, _partial: &PartialMap<'_>) -> Result<(), FitError> {
+        Ok(())
+    }
+}
+
 fn everything_of(version: &DatasetVersion) -> (Vec<Vec<f32>>, Vec<u8>) {
     let pages = (0..version.manifest().pages.count).map(|p| version.read_page(PageId(p)).unwrap().to_f32()).collect();
     (pages, version.blob("texels").unwrap())
 }
+
+/// Not stopped, but killed before it was published.
+const PACKED: usize = usize::MAX;
 
 // With twelve quads a texel, so that there are several pages of them and batches end within one.
 fn fitted(store: &Store, dataset: &str, interruptions: &[usize]) -> Arc<DatasetVersion> {
@@ -111,10 +136,11 @@ fn fitted(store: &Store, dataset: &str, interruptions: &[usize]) -> Arc<DatasetV
     let stage = || store.stage(dataset, "token").unwrap();
     for at in interruptions {
         let progress = CancelAt(*at, AtomicUsize::new(0));
-        assert!(matches!(construct(&map, &read, "sheet", &settings, &stage(), &progress), Err(FitError::Cancelled(_))));
+        let stopped = construct(&source(&map, &read), &settings, &stage(), &progress);
+        assert!(*at == PACKED || matches!(stopped, Err(FitError::Cancelled(_))));
     }
     let staging: Staging = stage();
-    construct(&map, &read, "sheet", &settings, &staging, &Unattended).unwrap();
+    construct(&source(&map, &read), &settings, &staging, &Unattended).unwrap();
     staging.publish(publication()).unwrap()
 }
 
@@ -126,7 +152,7 @@ fn each_part_gets_the_smallest_model_that_explains_it() {
     store.create_dataset("map").unwrap();
     let staging = store.stage("map", "token").unwrap();
     let read = |page: PageId| Ok::<_, StoreError>(pages[page.0 as usize].clone());
-    let (parameters, summary) = construct(&map, &read, "sheet", &settings(), &staging, &Unattended).unwrap();
+    let (parameters, summary) = construct(&source(&map, &read), &settings(), &staging, &Unattended).unwrap();
     let count = (SIZE * SIZE) as u64;
     let expected = [("constant", count - 1), ("phong:1", count), ("sh:16", 1)];
     assert_eq!(parameters.histogram, expected.map(|(name, n)| (name.to_string(), n)).into());
@@ -156,7 +182,7 @@ fn harmonics_are_fitted_to_every_texel_though_some_observers_stand_below_its_hor
     let staging = store.stage("map", "token").unwrap();
     let read = |page: PageId| Ok::<_, StoreError>(pages[page.0 as usize].clone());
     let settings = ConstructSettings { models: "sh:36".parse().unwrap(), ..settings() };
-    let (parameters, summary) = construct(&map, &read, "sheet", &settings, &staging, &Unattended).unwrap();
+    let (parameters, summary) = construct(&source(&map, &read), &settings, &staging, &Unattended).unwrap();
     assert_eq!(parameters.histogram, [("sh:36".to_string(), 2 * (SIZE * SIZE) as u64)].into());
     // A lobe of m = 12 and height .5 in 36 functions: a few hundredths of its contrast.
     assert!(summary.rms_residual < 0.02, "{}", summary.rms_residual);
@@ -169,7 +195,7 @@ fn a_fit_that_is_stopped_anywhere_and_goes_on_gives_the_same_bytes() {
     let whole = everything_of(&fitted(&store, "whole", &[]));
     assert_eq!(whole.0.len(), 3);
     // 50 pages of observations, 32 a batch: before any, after the first, with a page of numbers stored and the next begun, and twice.
-    for (i, interruptions) in [vec![0], vec![1], vec![0, 1], vec![1, 0]].iter().enumerate() {
+    for (i, interruptions) in [vec![0], vec![1], vec![0, 1], vec![1, 0], vec![1, PACKED], vec![PACKED]].iter().enumerate() {
         let resumed = everything_of(&fitted(&store, &format!("resumed-{i}"), interruptions));
         assert!(resumed == whole, "{interruptions:?}");
     }
@@ -183,7 +209,7 @@ fn models_and_noise_that_no_fit_can_be_made_with_are_named() {
     store.create_dataset("map").unwrap();
     let staging = store.stage("map", "token").unwrap();
     let read = |page: PageId| Ok::<_, StoreError>(pages[page.0 as usize].clone());
-    let refused = |settings: ConstructSettings| construct(&map, &read, "sheet", &settings, &staging, &Unattended).unwrap_err().to_string();
+    let refused = |settings: ConstructSettings| construct(&source(&map, &read), &settings, &staging, &Unattended).unwrap_err().to_string();
     assert!(refused(ConstructSettings { models: AllowedModels::Phong(9), ..settings() }).starts_with("9 lobes"));
     assert!(refused(ConstructSettings { models: AllowedModels::Harmonics(5), ..settings() }).starts_with("5 spherical harmonics"));
     assert!(refused(ConstructSettings { noise_floor: Some(f32::NAN), ..settings() }).starts_with("noise floor NaN"));
@@ -201,6 +227,180 @@ fn pages_of_another_shape_are_named() {
     store.create_dataset("map").unwrap();
     let staging = store.stage("map", "token").unwrap();
     let read = |page: PageId| Ok::<_, StoreError>(pages[page.0 as usize].clone());
-    let error = construct(&map, &read, "sheet", &settings(), &staging, &Unattended).unwrap_err();
+    let error = construct(&source(&map, &read), &settings(), &staging, &Unattended).unwrap_err();
     assert_eq!(error.to_string(), "page 3 of the observations is 64x2, 64x73 expected");
+}
+
+/// Offers of partial maps that were stored, as versions of "partial".
+struct StoreOffers<'a>(&'a Store, std::sync::Mutex<Vec<FitSummary>>);
+
+impl Progress for StoreOffers<'_> {
+    fn report(&self, _what: &str, _done: u64, _total: u64) {}
+    fn is_cancelled(&self) -> bool {
+        false
+    }
+}
+
+impl FollowFit for StoreOffers<'_> {
+    fn fitted(&self, so_far: &FitSummary) {
+        self.1.lock().unwrap().push(so_far.clone());
+    }
+    fn offer(&self, partial: &PartialMap<'_>) -> Result<(), FitError> {
+        let staging = self.0.stage("partial", "part")?;
+        let parameters = serde_json::to_value(partial.store(&staging)?).unwrap();
+        staging.publish(Publication { parameters, ..publication() })?;
+        Ok(())
+    }
+}
+
+#[test]
+fn what_is_fitted_so_far_is_told_and_can_be_stored_as_a_map() {
+    let (map, pages) = observations();
+    let folder = tempfile::tempdir().unwrap();
+    let (store, _) = Store::open(folder.path(), StoreOptions::local()).unwrap();
+    store.create_dataset("map").unwrap();
+    store.create_dataset("partial").unwrap();
+    let read = |page: PageId| Ok::<_, StoreError>(pages[page.0 as usize].clone());
+    let follow = StoreOffers(&store, Default::default());
+    let staging = store.stage("map", "token").unwrap();
+    let (parameters, summary) = construct(&source(&map, &read), &settings(), &staging, &follow).unwrap();
+    let whole = staging.publish(Publication { parameters: serde_json::to_value(parameters).unwrap(), ..publication() }).unwrap();
+
+    // 50 pages of observations in two batches: one offer, behind 32 pages of 64 texels.
+    let fitted = 32 * 64;
+    let told = follow.1.into_inner().unwrap();
+    assert_eq!(told.iter().map(|s| s.texels).collect::<Vec<_>>(), [fitted as u64, 2 * (SIZE * SIZE) as u64]);
+    assert_eq!((&told[1].histogram, &told[1].flags), (&summary.histogram, &summary.flags));
+    let opened = |version: &DatasetVersion| {
+        let parameters = serde_json::from_value(version.manifest().parameters.clone()).unwrap();
+        from_parts::<PartsOrStore>(parameters, &|name| Ok(version.blob(name)?)).unwrap()
+    };
+    let partial = store.open_version("partial", Some(1)).unwrap();
+    assert_eq!(store.versions("partial").unwrap(), [1]);
+    let (part, all) = (opened(&partial), opened(&whole));
+    assert_eq!(part.parameters.partial, Some(PartialFit { texels_fitted: fitted as u64, texels: 2 * (SIZE * SIZE) as u64 }));
+    assert_eq!(all.parameters.partial, None);
+    assert_eq!(part.page_count(), partial.manifest().pages.count as usize);
+    for (at, texel) in map.texels.iter().enumerate() {
+        let index = texel.index as usize;
+        let expected = if at < fitted { all.texels.texels[index].code } else { ModelCode::NONE };
+        assert_eq!(part.texels.texels[index].code, expected, "texel {at}");
+    }
+    // The numbers are those of the whole map, as far as they go.
+    let quads = |version: &DatasetVersion| everything_of(version).0.concat();
+    let (some, every) = (quads(&partial), quads(&whole));
+    let known = 4 * part.texels.quads() as usize;
+    assert!(some[..known] == every[..known] && some[known..].iter().all(|c| *c == 0.0));
+}
+
+#[derive(Debug)]
+struct PartsOrStore;
+
+impl From<crate::capture::PartsError> for PartsOrStore {
+    fn from(_: crate::capture::PartsError) -> Self {
+        Self
+    }
+}
+
+impl From<StoreError> for PartsOrStore {
+    fn from(_: StoreError) -> Self {
+        Self
+    }
+}
+
+/// Fits with a bound on bytes, stopped now and then; the version, what it takes with all that is beside it, and the summary.
+fn bounded(store: &Store, dataset: &str, max_bytes: Option<u64>, stops: &[usize]) -> Result<(Arc<DatasetVersion>, FitSummary), FitError> {
+    let (map, pages) = observations();
+    let read = |page: PageId| Ok::<_, StoreError>(pages[page.0 as usize].clone());
+    let settings = ConstructSettings { max_bytes, pixel_format: PixelFormat::F16, ..settings() };
+    store.create_dataset(dataset).unwrap();
+    let stage = || store.stage(dataset, &format!("token-{dataset}")).unwrap();
+    let beside = FitSource { beside_bytes: 100, ..source(&map, &read) };
+    for at in stops {
+        let progress = CancelAt(*at, AtomicUsize::new(0));
+        let stopped = construct(&beside, &settings, &stage(), &progress);
+        assert!(*at == PACKED || matches!(stopped, Err(FitError::Cancelled(_))));
+    }
+    let staging = stage();
+    let (_, summary) = construct(&beside, &settings, &staging, &Unattended)?;
+    staging.put_blob("beside", &[7; 100]).unwrap();
+    Ok((staging.publish(publication()).unwrap(), summary))
+}
+
+#[test]
+fn a_bound_on_bytes_is_kept_and_a_larger_one_leaves_less() {
+    let folder = tempfile::tempdir().unwrap();
+    let (store, _) = Store::open(folder.path(), StoreOptions::local()).unwrap();
+    let free = bounded(&store, "free", None, &[]).unwrap();
+    let all = free.0.manifest().stored_bytes();
+    let (roomy, told) = bounded(&store, "roomy", Some(all), &[]).unwrap();
+    assert!(everything_of(&roomy) == everything_of(&free.0), "a bound that is no bound changes nothing");
+    assert_eq!(told.budget.unwrap().texels_reduced, 0);
+
+    let least = match bounded(&store, "none", Some(1), &[]) {
+        Err(FitError::MaxBytes { max_bytes: 1, least }) => least,
+        other => panic!("{other:?}"),
+    };
+    let mut before = f64::INFINITY;
+    // How near bytes come to the bound is not told here: texels that are all alike pack better than some of each kind, so bytes do not rise with quads.
+    for (i, part) in [0u64, 1, 3, 5, 7, 9].into_iter().enumerate() {
+        let max_bytes = least + (all - least) * part / 10;
+        let (version, summary) = bounded(&store, &format!("bounded-{i}"), Some(max_bytes), &[]).unwrap();
+        let (bytes, budget) = (version.manifest().stored_bytes(), summary.budget.unwrap());
+        assert!(bytes <= max_bytes, "{bytes} bytes, {max_bytes} allowed");
+        assert_eq!((budget.bytes, budget.max_bytes, budget.bytes_before), (bytes, max_bytes, all));
+        assert!(summary.rms_residual <= before && summary.rms_residual >= budget.rms_residual_before);
+        before = summary.rms_residual;
+        assert_eq!(summary.texels, 2 * (SIZE * SIZE) as u64);
+        let dull = summary.histogram.get("constant").unwrap() + summary.histogram.get("cosine_power").unwrap_or(&0);
+        assert_eq!(budget.texels_reduced > 0, dull > (SIZE * SIZE) as u64, "{:?}", summary.histogram);
+    }
+    let (message, least_again) = (bounded(&store, "short", Some(least - 1), &[]).unwrap_err().to_string(), least.to_string());
+    assert!(message.contains(&least_again) && message.contains(&(least - 1).to_string()), "{message}");
+}
+
+#[test]
+fn a_bounded_fit_that_is_stopped_anywhere_gives_the_same_bytes() {
+    let folder = tempfile::tempdir().unwrap();
+    let (store, _) = Store::open(folder.path(), StoreOptions::local()).unwrap();
+    let all = bounded(&store, "free", None, &[]).unwrap().0.manifest().stored_bytes();
+    let whole = everything_of(&bounded(&store, "whole", Some(all * 9 / 10), &[]).unwrap().0);
+    // Questions: one a batch, two of them, then one for each size that is tried.
+    for (i, stops) in [vec![1], vec![4], vec![0, 1, 6, PACKED]].iter().enumerate() {
+        let resumed = everything_of(&bounded(&store, &format!("resumed-{i}"), Some(all * 9 / 10), stops).unwrap().0);
+        assert!(resumed == whole, "{stops:?}");
+    }
+}
+
+#[test]
+fn an_observation_that_stands_alone_is_left_out_where_that_is_asked_for() {
+    let (map, pages) = observations();
+    // A glint at one view of the dull part's texels, 40 of each page's 64: a highlight of its own, or nothing.
+    let glint = |page: &Arc<Page>| {
+        let mut numbers = page.to_f32();
+        for column in 0..40 {
+            let entry = &mut numbers[4 * (64 * 30 + column)..][..4];
+            if entry[3] > 0.0 {
+                entry[..3].copy_from_slice(&[3.0; 3]);
+            }
+        }
+        Arc::new(Page::from_f32(page.shape(), &numbers).unwrap())
+    };
+    let pages: Vec<Arc<Page>> = pages.iter().map(glint).collect();
+    let folder = tempfile::tempdir().unwrap();
+    let (store, _) = Store::open(folder.path(), StoreOptions::local()).unwrap();
+    let read = |page: PageId| Ok::<_, StoreError>(pages[page.0 as usize].clone());
+    let fitted = |dataset: &str, outliers| {
+        store.create_dataset(dataset).unwrap();
+        let staging = store.stage(dataset, dataset).unwrap();
+        let settings = ConstructSettings { outliers, noise_floor: Some(0.001), ..settings() };
+        construct(&source(&map, &read), &settings, &staging, &Unattended).unwrap()
+    };
+    let ((kept, with), (rejected, without)) = (fitted("kept", Outliers::Keep), fitted("rejected", Outliers::Reject));
+    assert_eq!((kept.outliers, rejected.outliers), (Outliers::Keep, Outliers::Reject));
+    let dull = |summary: &FitSummary| summary.histogram.get("constant").copied().unwrap_or_default();
+    let (texels, glints) = ((SIZE * SIZE) as u64, (SIZE * SIZE * 40 / 64) as u64);
+    assert!(dull(&with) <= texels - glints, "{with:?}");
+    assert!(dull(&without) >= texels - 1 && without.flags["outliers"] >= glints, "{without:?}");
+    assert_eq!(with.flags["outliers"], 0);
 }

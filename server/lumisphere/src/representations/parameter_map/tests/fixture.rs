@@ -6,7 +6,7 @@ use glam::{Quat, Vec2, Vec3};
 
 use crate::capture::observation_map::ObservationParameters;
 use crate::capture::{Background, SurfaceMesh};
-use crate::fitting::{Basis, Flags, Lobe, Model};
+use crate::fitting::{Basis, Flags, Lobe, Model, Outliers, Precision};
 use crate::geometry::{Camera, Intrinsics, Pose, TriangleMesh};
 use crate::representations::MemoryPages;
 use crate::representations::parameter_map::{ModelCode, ParameterMap, Parameters, QUADS_PER_PAGE, TexelTable, texel_order};
@@ -89,7 +89,17 @@ impl World {
             max_bounces: 1,
             seed: 0,
         };
-        Parameters { observed, observations: "none".into(), models: "auto".into(), pixel_format: self.pixel, histogram: Default::default() }
+        Parameters {
+            observed,
+            observations: "none".into(),
+            models: "auto".into(),
+            outliers: Outliers::Keep,
+            precision: Precision::Single,
+            max_bytes: None,
+            pixel_format: self.pixel,
+            histogram: Default::default(),
+            partial: None,
+        }
     }
 }
 

@@ -17,6 +17,7 @@ use crate::geometry::Camera;
 use crate::images::{Tolerance, count_beyond};
 use crate::render::{Backend, Frame, FrameRequest, Outputs, Renderer};
 use crate::representations::{Answer, MemoryPages, Refine, RenderError, Representation, Settings as AnySettings};
+use crate::testdata::golden::assert_golden;
 use crate::textures::PixelFormat;
 use fixture::{WORLD, World, every_kind};
 
@@ -38,6 +39,12 @@ fn object_pixels(frame: &Frame) -> Vec<(Vec3, Answer)> {
     let provenance = frame.pixels.provenance.as_ref().unwrap();
     let colors = frame.pixels.color.chunks_exact(3).map(Vec3::from_slice);
     colors.zip(provenance).map(|(c, p)| (c, p.answer())).filter(|(_, a)| *a != Answer::Background).collect()
+}
+
+#[test]
+fn the_sheet_with_every_kind_of_model_looks_as_it_did() {
+    let frame = frame_of(WORLD.build(every_kind), &WORLD.camera(Vec3::new(0.3, 1.6, 1.4), Vec3::ZERO, 64, 48), Show::Radiance);
+    assert_golden("parameter_map_radiance.exr", &frame.unwrap());
 }
 
 #[test]
