@@ -55,6 +55,9 @@ pub enum Command {
     Render(Box<commands::render::Arguments>),
     /// Compare frames with path-traced truth at held-out poses and print the errors
     Evaluate(Box<commands::evaluate::Arguments>),
+    /// Lens and poses of photographs of a flat surface, for `job submit import`
+    #[command(subcommand)]
+    Calibrate(commands::calibrate::Command),
     /// Let viewers ask for frames on a schedule and measure latency and cache misses
     Load(Box<commands::load::Arguments>),
     /// The server's texture cache

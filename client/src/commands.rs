@@ -2,6 +2,7 @@
 
 pub mod blob;
 pub mod cache;
+pub mod calibrate;
 pub mod dataset;
 mod download;
 pub mod evaluate;
@@ -24,6 +25,7 @@ pub async fn run(command: Command, context: &Context) -> anyhow::Result<()> {
         Command::Job(command) => job::run(command, context).await,
         Command::Render(arguments) => render::run(&arguments, context).await,
         Command::Evaluate(arguments) => evaluate::run(&arguments, context).await,
+        Command::Calibrate(command) => calibrate::run(&command, context),
         Command::Load(arguments) => load::run(&arguments, context).await,
         Command::Cache(command) => cache::run(command, context).await,
         Command::System(command) => system::run(command, context).await,

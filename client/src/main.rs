@@ -2,6 +2,7 @@
 //!
 //! Results go to standard output, talk and progress to standard error; `docs/command-line.md` has the JSON objects and exit codes.
 
+mod byte_sizes;
 mod cache_names;
 mod cameras;
 mod choose_flags;
@@ -47,6 +48,8 @@ fn run(cli: Cli) -> anyhow::Result<()> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     runtime.block_on(async {
         tokio::select! {
+            // What asks no server is done in one go: Ctrl-C then ends the process as it does by default, until someone waits for it here.
+            biased;
             result = commands::run(cli.command, &context) => result,
             _ = tokio::signal::ctrl_c() => Err(Failure::Interrupted { note: context.interrupt_note() }.into()),
         }

@@ -41,6 +41,8 @@ pub struct Progress<'a> {
     pub total: u64,
     /// Until the stage ends, if known.
     pub seconds_left: Option<f64>,
+    /// More to say; may be empty.
+    pub detail: &'a str,
 }
 
 impl Meter {
@@ -66,7 +68,7 @@ impl Meter {
                 bar.set_length(progress.total.max(1));
                 bar.set_position(progress.done);
                 bar.set_prefix(progress.stage.to_string());
-                bar.set_message(left_text(progress.seconds_left));
+                bar.set_message(after_count(progress));
             }
             Shown::Lines(lines) => {
                 if lines.is_due(progress, is_new_stage, Instant::now()) {
@@ -108,9 +110,14 @@ fn bar() -> ProgressBar {
 }
 
 fn line_text(progress: Progress<'_>) -> String {
-    let Progress { stage, done, total, seconds_left } = progress;
+    let Progress { stage, done, total, .. } = progress;
     let count = if total > 0 { format!("{done}/{total}") } else { done.to_string() };
-    format!("{stage}: {count} {}", left_text(seconds_left)).trim_end().to_string()
+    format!("{stage}: {count} {}", after_count(progress)).trim_end().to_string()
+}
+
+fn after_count(progress: Progress<'_>) -> String {
+    let parts = [left_text(progress.seconds_left), progress.detail.to_string()];
+    parts.into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join("; ")
 }
 
 fn left_text(seconds_left: Option<f64>) -> String {
@@ -127,8 +134,9 @@ mod tests {
 
     #[test]
     fn a_line_tells_stage_count_and_time_left() {
-        let progress = Progress { stage: "tracing cube maps", done: 3, total: 10, seconds_left: Some(75.0) };
+        let progress = Progress { stage: "tracing cube maps", done: 3, total: 10, seconds_left: Some(75.0), detail: "" };
         assert_eq!(line_text(progress), "tracing cube maps: 3/10 about 1 min 15 s left");
+        assert_eq!(line_text(Progress { detail: "9 texels/s", ..progress }), "tracing cube maps: 3/10 about 1 min 15 s left; 9 texels/s");
         assert_eq!(line_text(Progress { total: 0, seconds_left: None, ..progress }), "tracing cube maps: 3");
     }
 
@@ -137,7 +145,7 @@ mod tests {
         let begun = Instant::now();
         let mut lines = Lines::default();
         let mut told = |stage: u64, done: u64, millis: u64| {
-            let progress = Progress { stage: "", done, total: 10, seconds_left: None };
+            let progress = Progress { stage: "", done, total: 10, seconds_left: None, detail: "" };
             lines.is_due(progress, done == 0 && stage > 0, begun + Duration::from_millis(millis))
         };
         // Ten files within a second: the first is told.

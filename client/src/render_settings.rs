@@ -213,6 +213,9 @@ pub struct OutputFlags {
     /// PNG and JPEG show radiance · 2^STOPS
     #[arg(long, value_name = "STOPS", default_value_t = 0.0, allow_negative_numbers = true)]
     pub exposure_stops: f32,
+    /// PNG and JPEG show 1 − exp(−GAMMA · radiance · 2^STOPS), which never clips, 0 to 1000; 0 for none
+    #[arg(long, value_name = "GAMMA", default_value_t = 0.0)]
+    pub gamma: f32,
     /// Also write each pixel's distance (.depth.zst)
     #[arg(long)]
     pub depth: bool,
@@ -259,6 +262,7 @@ impl OutputFlags {
             encoding: encoding.into(),
             jpeg_quality: self.jpeg_quality,
             exposure_stops: self.exposure_stops,
+            exposure_gamma: self.gamma,
             want_depth: self.depth,
             want_provenance: self.provenance,
         }

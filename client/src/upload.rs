@@ -91,7 +91,7 @@ pub async fn upload(
     let resumed_at_bytes = status.offset;
     let mut fruitless = 0;
     while !status.complete {
-        meter.update(Progress { stage, done: status.offset, total: blob.total_bytes, seconds_left: None });
+        meter.update(Progress { stage, done: status.offset, total: blob.total_bytes, seconds_left: None, detail: "" });
         match send_from(context, client, blob, status.offset).await {
             Ok(next) => status = next,
             Err(error) if fruitless < FRUITLESS_ATTEMPTS && is_worth_repeating(&error) => {

@@ -1,5 +1,7 @@
 //! The JSON objects of `--json`: stable, documented in `docs/command-line.md`, independent of the wire's generated types.
 
+use std::collections::BTreeMap;
+
 use lumisphere_proto::v1alpha1 as wire;
 use prost_types::Timestamp;
 use serde::Serialize;
@@ -80,6 +82,9 @@ pub struct Job {
     pub end_time: Option<String>,
     /// How often it was started.
     pub attempt: u32,
+    /// How a fit was asked for; absent for other jobs.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub fit: Option<FitSettings>,
     /// Null before it runs.
     pub progress: Option<JobProgress>,
     /// Null unless it failed or was cancelled.
@@ -101,6 +106,46 @@ pub struct JobProgress {
     pub fraction: f64,
     /// Of this stage.
     pub seconds_left: Option<f64>,
+    /// What has come of a fit; absent for other jobs.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub fit: Option<FitProgress>,
+}
+
+/// How a fit was asked for.
+#[derive(Debug, Serialize)]
+pub struct FitSettings {
+    /// "auto", "phong:2", …
+    pub models: String,
+    /// Observations that stand alone are left out.
+    pub reject_outliers: bool,
+    /// The last steps are double.
+    pub polish: bool,
+    /// Null: no bound.
+    pub max_bytes: Option<u64>,
+}
+
+/// What has come of a fit so far. Fields are the wire's.
+#[derive(Debug, Serialize)]
+pub struct FitProgress {
+    texels: u64,
+    texels_per_second: f64,
+    histogram: BTreeMap<String, u64>,
+    flags: BTreeMap<String, u64>,
+    median_residual: f64,
+    /// Null where nothing is published.
+    partial_dataset: Option<String>,
+}
+
+impl FitProgress {
+    /// "5312 texels/s; constant 3000, phong:1 1096; unresolved 12".
+    pub fn text(&self) -> String {
+        let counts = |of: &BTreeMap<String, u64>| {
+            let counted = of.iter().filter(|(_, count)| **count > 0);
+            counted.map(|(name, count)| format!("{name} {count}")).collect::<Vec<_>>().join(", ")
+        };
+        let parts = [format!("{:.0} texels/s", self.texels_per_second), counts(&self.histogram), counts(&self.flags)];
+        parts.into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join("; ")
+    }
 }
 
 /// Why a job did not succeed.
@@ -333,7 +378,17 @@ pub fn state_name(state: wire::JobState) -> String {
 impl From<wire::Job> for Job {
     fn from(job: wire::Job) -> Self {
         let state = state_name(job.state());
-        let (kind, dataset) = match job.spec.and_then(|s| s.spec) {
+        let spec = job.spec.and_then(|s| s.spec);
+        let fit = match &spec {
+            Some(wire::job_spec::Spec::Fit(s)) => Some(FitSettings {
+                models: if s.models.is_empty() { "auto".into() } else { s.models.clone() },
+                reject_outliers: s.reject_outliers,
+                polish: s.polish,
+                max_bytes: (s.max_bytes != 0).then_some(s.max_bytes),
+            }),
+            _ => None,
+        };
+        let (kind, dataset) = match spec {
             Some(wire::job_spec::Spec::Capture(s)) => ("capture", s.dataset),
             Some(wire::job_spec::Spec::Evaluate(s)) => ("evaluate", s.dataset),
             Some(wire::job_spec::Spec::PathRender(s)) => ("path_render", s.dataset),
@@ -351,6 +406,7 @@ impl From<wire::Job> for Job {
             start_time: time(job.start_time),
             end_time: time(job.end_time),
             attempt: job.attempt,
+            fit,
             progress: job.progress.map(JobProgress::from),
             error: job.error.map(JobError::from),
             result: job.result.map(JobResult::from),
@@ -360,7 +416,21 @@ impl From<wire::Job> for Job {
 
 impl From<wire::JobProgress> for JobProgress {
     fn from(p: wire::JobProgress) -> Self {
-        Self { stage: p.stage, done: p.done, total: p.total, fraction: p.fraction, seconds_left: p.seconds_left }
+        let fit = p.fit.map(FitProgress::from);
+        Self { stage: p.stage, done: p.done, total: p.total, fraction: p.fraction, seconds_left: p.seconds_left, fit }
+    }
+}
+
+impl From<wire::FitProgress> for FitProgress {
+    fn from(p: wire::FitProgress) -> Self {
+        Self {
+            texels: p.texels,
+            texels_per_second: p.texels_per_second,
+            histogram: p.histogram,
+            flags: p.flags,
+            median_residual: p.median_residual,
+            partial_dataset: Some(p.partial_dataset).filter(|name| !name.is_empty()),
+        }
     }
 }
 

@@ -16,6 +16,8 @@ pub const MAX_REQUEST_BYTES: usize = 4 << 20;
 pub const MAX_FRAME_MESSAGE_BYTES: usize = 32 << 20;
 /// Greatest chunk of a blob, bytes.
 pub const MAX_CHUNK_BYTES: usize = 1 << 20;
+/// Greatest payload of MeasureLink, bytes: no more than a chunk of a blob.
+pub const MAX_LINK_PAYLOAD_BYTES: usize = 1 << 20;
 /// `domain` of every `google.rpc.ErrorInfo`.
 pub const ERROR_DOMAIN: &str = "lumisphere";
 

@@ -3,110 +3,20 @@
 use std::time::Instant;
 
 use lumisphere_proto::v1alpha1 as wire;
-use tokio::sync::mpsc;
-use tokio_stream::wrappers::ReceiverStream;
-use tonic::{Code, Streaming};
+use tonic::Code;
 use wire::interact_request::Message as Up;
-use wire::interact_response::Message as Down;
-use wire::offset_surface_light_field_settings::{Blend, Component};
 
-use crate::process::{PATIENCE, Server, temporary_folder};
+use crate::process::{Server, temporary_folder};
 use crate::tiny::{self, DATASET};
-use crate::wire::{camera, code_and_reason, frame_request, output, settings};
+use crate::viewers::{Transport, Viewer, opening};
+use crate::wire::{camera, code_and_reason, frame_request};
 
-/// A client of `Interact`.
-pub struct Viewer {
-    up: mpsc::Sender<wire::InteractRequest>,
-    down: Streaming<wire::InteractResponse>,
-}
-
-impl Viewer {
-    async fn open(server: &Server, credits: u32) -> Self {
-        Self::open_with(server, credits, settings(Component::Full, Blend::Average)).await
-    }
-
-    /// Raw frames of the tiny dataset.
-    pub async fn open_with(server: &Server, credits: u32, settings: wire::RenderSettings) -> Self {
-        let (up, messages) = mpsc::channel(16);
-        let open = wire::OpenInteraction {
-            dataset: DATASET.into(),
-            version: 0,
-            settings: Some(settings),
-            output: Some(output(wire::Encoding::RawZstd)),
-            credits,
-        };
-        up.send(wire::InteractRequest { message: Some(Up::Open(open)) }).await.unwrap();
-        let down = server.rendering().await.interact(ReceiverStream::new(messages)).await.unwrap().into_inner();
-        let mut viewer = Self { up, down };
-        match viewer.next().await {
-            Some(Down::Opened(opened)) => assert_eq!((opened.dataset_version, opened.credits), (1, credits)),
-            other => panic!("{other:?}"),
-        }
-        viewer
-    }
-
-    /// Any message.
-    pub async fn send(&self, message: Up) {
-        self.up.send(wire::InteractRequest { message: Some(message) }).await.unwrap();
-    }
-
-    /// A pose.
-    pub async fn pose(&self, pose_id: u64, camera: wire::Camera) {
-        self.send(Up::Pose(wire::PoseUpdate { pose_id, camera: Some(camera) })).await;
-    }
-
-    async fn next(&mut self) -> Option<Down> {
-        tokio::time::timeout(PATIENCE, self.down.message()).await.expect("an answer in time").unwrap()?.message
-    }
-
-    /// The next answer, which must be a frame.
-    pub async fn frame(&mut self) -> wire::Frame {
-        match self.next().await {
-            Some(Down::Frame(frame)) => frame,
-            other => panic!("a frame expected, not {other:?}"),
-        }
-    }
-}
-
-async fn with_dataset() -> (tempfile::TempDir, Server) {
+/// A server that holds the tiny dataset.
+pub async fn with_dataset() -> (tempfile::TempDir, Server) {
     let folder = temporary_folder();
     let server = Server::start(&folder.path().join("data"));
     tiny::capture(&server, folder.path());
     (folder, server)
-}
-
-#[tokio::test]
-async fn a_stream_gives_frames_for_credits_and_the_latest_pose_wins() {
-    let (_folder, server) = with_dataset().await;
-    let mut viewer = Viewer::open(&server, 1).await;
-    viewer.pose(1, camera(32, 24)).await;
-    let first = viewer.frame().await;
-    assert_eq!((first.pose_id, first.frame_id), (1, 1));
-    // Without the credit nothing comes, so of these three only the last can be shown.
-    for pose_id in [2, 3, 4] {
-        viewer.pose(pose_id, camera(32 + pose_id as u32, 24)).await;
-    }
-    // A rejected pose is answered at once, after the three: they have all arrived when the credit comes back.
-    let mut bad = camera(32, 24);
-    bad.pose.as_mut().unwrap().position.as_mut().unwrap().x = f32::NAN;
-    viewer.pose(5, bad).await;
-    match viewer.next().await {
-        Some(Down::Status(status)) => assert_eq!((status.code, status.pose_id), (Code::InvalidArgument as i32, 5), "{status:?}"),
-        other => panic!("a status expected, not {other:?}"),
-    }
-    viewer.send(Up::Acknowledge(wire::FrameAcknowledgement { frame_id: 1 })).await;
-    let latest = viewer.frame().await;
-    assert_eq!((latest.pose_id, latest.width_px), (4, 36));
-    // Streamed and unary frames are the same pixels.
-    let request = wire::RenderFrameRequest { camera: Some(camera(36, 24)), ..frame_request(DATASET) };
-    let unary = server.rendering().await.render_frame(request).await.unwrap().into_inner();
-    assert_eq!(unary.color, latest.color);
-    drop(viewer.up);
-    assert_eq!(
-        tokio::time::timeout(PATIENCE, viewer.down.message()).await.unwrap().unwrap(),
-        None,
-        "the stream ends with the client's half"
-    );
 }
 
 /// More pages than a viewer's frame waits for: the first one comes at once with coarse texels, the last one is the unary frame's equal.
@@ -126,7 +36,7 @@ async fn a_viewer_sees_a_coarse_frame_first_and_then_the_whole_one() {
     assert!(!first.is_final, "the test needs a dataset whose frame exceeds the cap");
     let mut last = first.clone();
     while !last.is_final {
-        viewer.send(Up::Acknowledge(wire::FrameAcknowledgement { frame_id: last.frame_id })).await;
+        viewer.acknowledge(last.frame_id).await;
         last = viewer.frame().await;
         assert_eq!(last.pose_id, 1);
     }
@@ -165,29 +75,11 @@ async fn clients_that_leave_in_the_middle_take_nothing_with_them() {
     for round in 0..6 {
         let mut viewer = loop {
             // The place of one who left is free as soon as the server notices.
-            let (up, messages) = mpsc::channel(4);
-            let open = wire::OpenInteraction {
-                dataset: DATASET.into(),
-                version: 0,
-                settings: Some(settings(Component::Full, Blend::Average)),
-                output: Some(output(wire::Encoding::RawZstd)),
-                credits: 2,
-            };
-            up.send(wire::InteractRequest { message: Some(Up::Open(open)) }).await.unwrap();
-            let answer = server.rendering().await.interact(ReceiverStream::new(messages)).await;
-            let mut down = match answer {
-                Ok(answer) => answer.into_inner(),
-                Err(status) => {
-                    assert_eq!(code_and_reason(&status).1, "TOO_MANY_SESSIONS", "{status:?}");
-                    tokio::task::yield_now().await;
-                    continue;
-                }
-            };
-            match down.message().await {
-                Ok(Some(_)) => break Viewer { up, down },
-                Ok(None) => panic!("the stream ended unopened"),
+            match Viewer::open_as(&server, opening(2), Transport::Interact).await {
+                Ok(viewer) => break viewer,
                 Err(status) => assert_eq!(code_and_reason(&status).1, "TOO_MANY_SESSIONS", "{status:?}"),
             }
+            tokio::task::yield_now().await;
         };
         viewer.pose(1, camera(320, 240)).await;
         if round % 2 == 0 {

@@ -9,8 +9,8 @@ use crate::process::{Server, temporary_folder};
 use crate::system::get;
 use crate::tiny::{self, DATASET, QUICK};
 
-/// Gauge and key of `cache stats`; of each tier.
-const TIER: [(&str, &str); 11] = [
+/// Gauge and key of `cache stats`; of each tier, and, the budget aside, of each dataset's part of it.
+const TIER: [(&str, &str); 12] = [
     ("cache_look_ups", "look_ups"),
     ("cache_hits", "hits"),
     ("cache_misses", "misses"),
@@ -18,10 +18,11 @@ const TIER: [(&str, &str); 11] = [
     ("cache_bytes_in", "bytes_in"),
     ("cache_bytes", "used_bytes"),
     ("cache_peak_bytes", "peak_bytes"),
-    ("cache_budget_bytes", "budget_bytes"),
     ("cache_prefetched", "prefetched"),
     ("cache_prefetch_used", "prefetch_used"),
     ("cache_prefetch_wasted", "prefetch_wasted"),
+    ("cache_uploads", "uploads"),
+    ("cache_budget_bytes", "budget_bytes"),
 ];
 
 /// The same, of each dataset's texels.
@@ -61,16 +62,18 @@ const FRAME: [(&str, &str); 13] = [
     ("bytes_redundant", "bytes_redundant"),
 ];
 
-/// A frame's key and that of the adapter's tier.
-const ADAPTER: [(&str, &str); 7] = [
+/// A frame's key and that of the adapter's tier: what it did for its own dataset.
+const ADAPTER_OWN: [(&str, &str); 6] = [
     ("look_ups", "look_ups"),
     ("hits", "hits"),
     ("misses", "misses"),
+    ("uploads", "uploads"),
     ("bytes_uploaded", "bytes_in"),
-    ("evictions", "evictions"),
     ("prefetch_used", "prefetch_used"),
-    ("prefetch_wasted", "prefetch_wasted"),
 ];
+
+/// The same; what it did to any dataset.
+const ADAPTER_ANY: [(&str, &str); 2] = [("evictions", "evictions"), ("prefetch_wasted", "prefetch_wasted")];
 
 /// Frames of the dataset; what each of them says of the cache.
 fn frames(server: &Server, dataset: &str, backend: &str, (count, size): (&str, &str), out: &Path) -> Vec<Value> {
@@ -96,6 +99,30 @@ fn growth(before: &Value, after: &Value, key: &str) -> u64 {
 
 fn tier<'a>(stats: &'a Value, name: &str) -> &'a Value {
     stats["tiers"].as_array().unwrap().iter().find(|t| t["tier"] == name).unwrap_or_else(|| panic!("no tier {name} in {stats:#}"))
+}
+
+fn dataset<'a>(stats: &'a Value, name: &str) -> &'a Value {
+    stats["datasets"].as_array().unwrap().iter().find(|d| d["dataset"] == name).unwrap_or_else(|| panic!("no dataset {name} in {stats:#}"))
+}
+
+/// A tier's counters and sizes are the sums of its datasets' parts, and no part's peak is above the tier's.
+fn assert_datasets_make_the_tiers(stats: &Value) {
+    for whole in stats["tiers"].as_array().unwrap() {
+        let datasets = stats["datasets"].as_array().unwrap().iter();
+        let parts: Vec<&Value> =
+            datasets.filter_map(|d| d["tiers"].as_array().unwrap().iter().find(|t| t["tier"] == whole["tier"])).collect();
+        let of_parts = |key| parts.iter().map(|part| count(part, key)).sum::<u64>();
+        for (_, key) in TIER.into_iter().filter(|(_, key)| !["peak_bytes", "budget_bytes"].contains(key)).chain([("", "entries")]) {
+            assert_eq!(of_parts(key), count(whole, key), "{key} of {stats:#}");
+        }
+        for part in parts {
+            assert!(
+                count(part, "used_bytes") <= count(part, "peak_bytes") && count(part, "peak_bytes") <= count(whole, "peak_bytes"),
+                "{part}"
+            );
+            assert_eq!(count(part, "look_ups"), count(part, "hits") + count(part, "misses"), "{part}");
+        }
+    }
 }
 
 #[test]
@@ -129,6 +156,12 @@ fn metrics_tell_what_cache_stats_tells_of_every_tier_and_dataset() {
         for (name, key) in TEXELS {
             assert_eq!(gauge(name, &labels), count(texels, key), "{name}{{{labels}}} in {texels:#}");
         }
+        for part in dataset["tiers"].as_array().unwrap() {
+            let labels = format!("tier={},{labels}", part["tier"]);
+            for (name, key) in TIER.into_iter().filter(|(_, key)| *key != "budget_bytes") {
+                assert_eq!(gauge(&format!("dataset_{name}"), &labels), count(part, key), "{name}{{{labels}}} in {part:#}");
+            }
+        }
         assert_eq!(gauge("texture_hits", &labels), count(texels, "look_ups") - count(texels, "misses"));
         for (name, key) in [("texture_bytes", "used_bytes"), ("texture_peak_bytes", "peak_bytes"), ("texture_evictions", "evictions")] {
             assert_eq!(gauge(name, &labels), count(dataset, key), "{name} in {dataset:#}");
@@ -138,6 +171,7 @@ fn metrics_tell_what_cache_stats_tells_of_every_tier_and_dataset() {
             assert_eq!(count(dataset, key), count(tier(&stats, "memory"), key), "{key}");
         }
     }
+    assert_datasets_make_the_tiers(&stats);
     for key in ["hits", "misses", "evictions"] {
         assert!(["compressed", "memory"].iter().all(|name| count(tier(&stats, name), key) > 0), "no {key} in {stats:#}");
     }
@@ -182,17 +216,43 @@ fn what_frames_say_of_the_cache_adds_up_to_its_counters() {
     large(DATASET);
     let held = count(tier(&server.json(&["cache", "stats"]), "gpu"), "used_bytes");
     let room = (held + held / 2).to_string();
-    let before = server.json(&["cache", "configure", "--gpu-budget-bytes", &room]);
-    let drawn: Vec<Value> = [DATASET, "second", DATASET].into_iter().flat_map(large).collect();
-    assert!(drawn.iter().all(|frame| frame["adapter"].is_object()), "drawn by the CPU: {drawn:#?}");
-    let after = server.json(&["cache", "stats"]);
-    assert_adds_up(&drawn, &before, &after);
-    let on_adapter: Vec<Value> = drawn.iter().map(|frame| frame["adapter"].clone()).collect();
-    for (of_frames, key) in ADAPTER {
-        assert_eq!(sum(&on_adapter, of_frames), growth(tier(&before, "gpu"), tier(&after, "gpu"), key), "{of_frames}");
+    let mut stats = vec![server.json(&["cache", "configure", "--gpu-budget-bytes", &room])];
+    let mut drawn = Vec::new();
+    for (drawn_of, other) in [(DATASET, "second"), ("second", DATASET), (DATASET, "second"), (DATASET, "second")] {
+        let [frame] = &large(drawn_of)[..] else { panic!("one frame was asked for") };
+        let (before, after) = (stats[stats.len() - 1].clone(), server.json(&["cache", "stats"]));
+        let adapter = &frame["adapter"];
+        assert!(adapter.is_object() && count(adapter, "passes") > 0, "drawn by the CPU: {frame:#}");
+        // Where it was never on the adapter, nothing.
+        let part = |stats: &Value, name: &str, key: &str| {
+            let of_dataset = stats["datasets"].as_array().unwrap().iter().find(|d| d["dataset"] == name);
+            let part = of_dataset.and_then(|d| d["tiers"].as_array().unwrap().iter().find(|t| t["tier"] == "gpu"));
+            part.map_or(0, |part| count(part, key))
+        };
+        let grown = |name: &str, key: &str| part(&after, name, key) - part(&before, name, key);
+        for (of_frame, key) in ADAPTER_OWN {
+            assert_eq!((grown(drawn_of, key), grown(other, key)), (count(adapter, of_frame), 0), "{of_frame} of {drawn_of}");
+        }
+        for (of_frame, key) in ADAPTER_ANY {
+            assert_eq!(grown(drawn_of, key) + grown(other, key), count(adapter, of_frame), "{of_frame} of {drawn_of}");
+        }
+        // The one that leaves is charged with it.
+        assert_eq!(grown(drawn_of, "evictions"), 0, "{after:#}");
+        assert_eq!((part(&after, other, "entries"), part(&after, other, "used_bytes")), (0, 0), "{after:#}");
+        assert_datasets_make_the_tiers(&after);
+        drawn.push(frame.clone());
+        stats.push(after);
     }
-    assert!(sum(&on_adapter, "evictions") > 0, "{drawn:#?}");
-    assert!(on_adapter.iter().all(|frame| count(frame, "passes") > 0));
+    assert_adds_up(&drawn, &stats[0], &stats[4]);
+    for name in [DATASET, "second"] {
+        let on_adapter = dataset(&stats[4], name)["tiers"].as_array().unwrap().iter().find(|t| t["tier"] == "gpu").unwrap();
+        assert!(
+            ["look_ups", "misses", "uploads", "bytes_in", "evictions", "peak_bytes"].iter().all(|key| count(on_adapter, key) > 0),
+            "{on_adapter:#}"
+        );
+    }
+    // The last frame found all that the one before it had brought.
+    assert_eq!((count(&drawn[3]["adapter"], "misses"), growth(tier(&stats[3], "gpu"), tier(&stats[4], "gpu"), "uploads")), (0, 0));
 }
 
 #[test]
@@ -207,7 +267,8 @@ fn peaks_outlast_what_was_held_until_the_counters_are_reset() {
     }
     let peaks = |stats: &Value| -> Vec<u64> {
         let (tiers, datasets) = (stats["tiers"].as_array().unwrap(), stats["datasets"].as_array().unwrap());
-        tiers.iter().chain(datasets).map(|part| count(part, "peak_bytes")).collect()
+        let parts = datasets.iter().flat_map(|d| d["tiers"].as_array().unwrap());
+        tiers.iter().chain(datasets).chain(parts).map(|part| count(part, "peak_bytes")).collect()
     };
     let held = server.json(&["cache", "stats"]);
     assert!(peaks(&held).iter().all(|&peak| peak > 0), "{held:#}");

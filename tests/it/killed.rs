@@ -17,14 +17,15 @@ use crate::wire::{code_and_reason, frame_request};
 pub const SLOW: [&str; 10] =
     ["--points", "120", "--face-size-texels", "32", "--samples-per-texel", "16", "--max-bounces", "2", "--sample-map-size-texels", "32"];
 
-fn content_hashes(server: &Server, dataset: &str) -> Vec<String> {
+/// Hashes of all that a version stores but what tells times.
+pub fn content_hashes(server: &Server, dataset: &str) -> Vec<String> {
     let files = server.json(&["dataset", "files", dataset]);
-    let content = files["files"].as_array().unwrap().iter().filter(|f| f["role"] != "manifest");
+    let content = files["files"].as_array().unwrap().iter().filter(|f| f["role"] != "manifest" && f["name"] != "fit.json");
     content.map(|f| f["blake3"].as_str().unwrap().to_string()).collect()
 }
 
 /// Follows the job until the predicate holds or it ends; the job as it was then.
-async fn follow_until(server: &Server, name: &str, reached: impl Fn(&wire::Job) -> bool) -> wire::Job {
+pub async fn follow_until(server: &Server, name: &str, reached: impl Fn(&wire::Job) -> bool) -> wire::Job {
     let request = wire::WatchJobRequest { name: name.into(), after_sequence: 0 };
     let mut events = server.jobs().await.watch_job(request).await.unwrap().into_inner();
     let mut last = None;

@@ -6,14 +6,13 @@ use std::time::Instant;
 use lumisphere_proto::v1alpha1 as wire;
 use serde_json::Value;
 use wire::cache_client::CacheClient;
-use wire::interact_request::Message as Up;
 use wire::offset_surface_light_field_settings::{Blend, Component, Filter};
 use wire::render_settings::Representation;
 
-use crate::clients::Viewer;
 use crate::process::{PATIENCE, Server, temporary_folder};
 use crate::system::get;
 use crate::tiny;
+use crate::viewers::Viewer;
 use crate::wire::{camera_around, settings};
 
 const STEPS: u64 = 8;
@@ -73,7 +72,7 @@ async fn walk_from(
         viewer.pose(pose_id, camera).await;
         let frame = viewer.frame().await;
         assert_eq!((frame.pose_id, frame.is_final), (pose_id, true));
-        viewer.send(Up::Acknowledge(wire::FrameAcknowledgement { frame_id: frame.frame_id })).await;
+        viewer.acknowledge(frame.frame_id).await;
         colors.push(frame.color);
         between(pose_id);
     }

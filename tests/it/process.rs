@@ -93,6 +93,11 @@ impl Server {
         self.status_bytes("VmRSS:")
     }
 
+    /// The part of that which is no file's.
+    pub fn anonymous_bytes(&self) -> u64 {
+        self.status_bytes("RssAnon:")
+    }
+
     /// The most that it held since its start or `forget_peak`.
     pub fn peak_bytes(&self) -> u64 {
         self.status_bytes("VmHWM:")

@@ -17,7 +17,7 @@ fn texts(folder: &str, wanted: impl Fn(&Path) -> bool) -> Vec<(String, String)> 
         for entry in fs::read_dir(&folder).unwrap_or_else(|e| panic!("{}: {e}", folder.display())) {
             let path = entry.unwrap().path();
             let name = path.file_name().unwrap().to_string_lossy().into_owned();
-            if name == "target" || name == "shared" || (name.starts_with('.') && name != ".ci") {
+            if name == "target" || name == "shared" || name == "node_modules" || (name.starts_with('.') && name != ".ci") {
                 continue;
             }
             if path.is_dir() {
@@ -38,7 +38,11 @@ fn has_extension(extension: &'static str) -> impl Fn(&Path) -> bool {
 
 /// Unit tests in files of their own.
 fn is_test_file(path: &str) -> bool {
-    path.ends_with("tests.rs") || path.contains("/tests/") || path.ends_with("/testdata.rs") || path.ends_with("/layout_check.rs")
+    path.ends_with("tests.rs")
+        || path.contains("/tests/")
+        || path.ends_with("/testdata.rs")
+        || path.contains("/testdata/")
+        || path.ends_with("/layout_check.rs")
 }
 
 fn assert_none(violations: &[String]) {
@@ -72,6 +76,7 @@ const LIBRARY: [(&str, &[&str]); 16] = [
             "render",
             "representations",
             "capture",
+            "fitting",
             "raytrace",
             "scenes",
             "textures",

@@ -14,6 +14,50 @@ use crate::process::{Server, binary, temporary_folder};
 use crate::tiny::{self, DATASET};
 use crate::wire::frame_request;
 
+/// The page and what it loads, on the port of gRPC-Web: one origin.
+#[test]
+fn the_viewer_is_served_at_the_root_beside_grpc_web() {
+    let folder = temporary_folder();
+    let server = Server::start(&folder.path().join("data"));
+    let address = server.url.trim_start_matches("http://");
+    let (status, page) = get(address, "/");
+    assert!(status.contains(" 200 ") && page.contains("content-type: text/html; charset=utf-8"), "{status}{page}");
+    assert!(page.contains("content-security-policy: default-src 'none'; script-src 'self'"), "{page}");
+    let script = page.split("src=\"").nth(1).and_then(|rest| rest.split('"').next()).expect("the page has a script");
+    let path = format!("/{}", script.trim_start_matches("./").trim_start_matches('/'));
+    let (status, head) = get(address, &path);
+    assert!(status.contains(" 200 ") && head.contains("content-type: text/javascript; charset=utf-8"), "{path}: {status}");
+    assert!(head.contains("cache-control: public, max-age=31536000, immutable"), "{path}: a name with a hash");
+    let (_, answer) = http(address, "HEAD / HTTP/1.1", &[]);
+    assert!(answer.ends_with(b"\r\n\r\n"), "a head has no body");
+    assert!(get(address, "/nothing.html").0.contains(" 404 "));
+    // Nobody's paths become labels.
+    assert!(!get(&server.http, "/metrics").1.contains("nothing.html"));
+}
+
+#[tokio::test]
+async fn a_client_can_measure_its_link_and_no_call_carries_more_than_allowed() {
+    let folder = temporary_folder();
+    let server = Server::start(&folder.path().join("data"));
+    let mut system = server.system().await;
+    for (up, down) in [(0, 0), (0, 1 << 20), (1 << 20, 0), (1000, 50_000)] {
+        let request = wire::MeasureLinkRequest { answer_bytes: down, payload: vec![7; up].into() };
+        let answer = system.measure_link(request).await.unwrap().into_inner();
+        assert_eq!((answer.received_bytes, answer.payload.len()), (up as u64, down as usize));
+        // Whoever compresses on the way gains nothing.
+        let packed = zstd::encode_all(&answer.payload[..], 1).unwrap().len();
+        assert!(packed >= down as usize, "{down} bytes compress to {packed}");
+    }
+    for answer_bytes in [(1 << 20) + 1, u32::MAX] {
+        let status = system.measure_link(wire::MeasureLinkRequest { answer_bytes, ..Default::default() }).await.unwrap_err();
+        assert_eq!(crate::wire::fields(&status), ["answer_bytes"]);
+    }
+    let longer = wire::MeasureLinkRequest { answer_bytes: 0, payload: vec![0; (1 << 20) + 1].into() };
+    assert_eq!(crate::wire::fields(&system.measure_link(longer).await.unwrap_err()), ["payload"]);
+    let too_large = wire::MeasureLinkRequest { answer_bytes: 0, payload: vec![0; 5 << 20].into() };
+    assert_eq!(system.measure_link(too_large).await.unwrap_err().code(), tonic::Code::OutOfRange);
+}
+
 /// A whole HTTP/1.1 exchange: (status line, headers and body).
 fn http(address: &str, request_head: &str, body: &[u8]) -> (String, Vec<u8>) {
     let mut stream = TcpStream::connect(address).unwrap();
@@ -29,6 +73,13 @@ fn http(address: &str, request_head: &str, body: &[u8]) -> (String, Vec<u8>) {
 pub fn get(address: &str, path: &str) -> (String, String) {
     let (status, rest) = http(address, &format!("GET {path} HTTP/1.1"), &[]);
     (status, String::from_utf8_lossy(&rest).into_owned())
+}
+
+/// A count or gauge without labels, as scraped.
+pub fn metric(server: &Server, name: &str) -> u64 {
+    let metrics = get(&server.http, "/metrics").1;
+    let line = metrics.lines().find_map(|line| line.strip_prefix(&format!("lumisphere_{name} ")));
+    line.expect("the metric is there").parse().expect("it is a number")
 }
 
 #[tokio::test]

@@ -46,7 +46,7 @@ pub fn settings(component: Component, blend: Blend) -> wire::RenderSettings {
 
 /// Only an encoding.
 pub fn output(encoding: wire::Encoding) -> wire::OutputSettings {
-    wire::OutputSettings { encoding: encoding.into(), jpeg_quality: 0, exposure_stops: 0.0, want_depth: false, want_provenance: false }
+    wire::OutputSettings { encoding: encoding.into(), ..Default::default() }
 }
 
 /// A small frame of the tiny dataset, both terms, lossless.

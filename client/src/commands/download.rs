@@ -77,7 +77,7 @@ async fn receive(
         anyhow::ensure!(chunk.offset == hasher.count(), "chunk at offset {} where {} was expected", chunk.offset, hasher.count());
         file.write_all(&chunk.data).context("cannot write the downloaded bytes")?;
         hasher.update(&chunk.data);
-        meter.update(Progress { stage: wanted.label, done: hasher.count(), total: chunk.total_bytes, seconds_left: None });
+        meter.update(Progress { stage: wanted.label, done: hasher.count(), total: chunk.total_bytes, seconds_left: None, detail: "" });
         if chunk.is_last {
             return Ok(());
         }

@@ -2,6 +2,7 @@
 
 mod choose;
 mod datasets;
+mod parameter_map;
 mod sweep;
 
 use std::path::PathBuf;
@@ -108,6 +109,8 @@ pub enum Command {
     Sweep(sweep::Arguments),
     /// The cheapest setting of a sweep that keeps a bound
     Choose(choose::Arguments),
+    /// How well models fit what a texel looks like: the tests of the parameter-map thesis, its methods beside ours
+    ParameterMap(parameter_map::Arguments),
 }
 
 impl EvaluateFlags {
@@ -144,6 +147,7 @@ pub async fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<()>
     match &arguments.command {
         Some(Command::Sweep(arguments)) => sweep::run(arguments, context).await,
         Some(Command::Choose(arguments)) => choose::run(arguments, context),
+        Some(Command::ParameterMap(arguments)) => parameter_map::run(arguments, context),
         None => run_one(arguments, context).await,
     }
 }

@@ -15,6 +15,7 @@ use super::download::{Wanted, download};
 use super::evaluate::EvaluateFlags;
 use super::render::version_of;
 use super::watch::{Events, watch};
+use crate::byte_sizes::parse_bytes;
 use crate::cameras::{CameraFlags, Views, parse_vec3};
 use crate::choose_flags::ChooseFlags;
 use crate::context::{Context, Server};
@@ -333,6 +334,18 @@ pub struct FitArguments {
     /// Standard deviation of an observation beyond that, as a part of it, 0 to 1
     #[arg(long, value_name = "PART", default_value_t = 0.01)]
     relative_noise: f32,
+    /// Leave out observations that stand alone against their neighbours: glints, a hand in the picture; not with sh:N
+    #[arg(long)]
+    robust: bool,
+    /// Take the last steps of lobes in double precision: matters for exact data alone
+    #[arg(long)]
+    polish: bool,
+    /// What the version may take at most, such as 20MB: models are smaller where that costs least
+    #[arg(long, value_name = "BYTES", value_parser = parse_bytes)]
+    max_bytes: Option<u64>,
+    /// Publish what is fitted so far as dataset NAME-partial after so many seconds each; it goes when the job has ended
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.0, hide_default_value = true)]
+    publish_every: f32,
     /// Of stored numbers
     #[arg(long, value_enum, default_value = "f16")]
     pixel_format: PixelFormat,
@@ -506,6 +519,13 @@ async fn submit_fit(context: &Context, arguments: &FitArguments) -> anyhow::Resu
         models: arguments.model.to_string(),
         noise_floor: arguments.noise_floor,
         relative_noise: Some(arguments.relative_noise),
+        reject_outliers: arguments.robust,
+        polish: arguments.polish,
+        max_bytes: match arguments.max_bytes {
+            Some(0) => return Err(Failure::Usage("--max-bytes is 0, at least 1 expected".into()).into()),
+            other => other.unwrap_or(0),
+        },
+        publish_every_seconds: arguments.publish_every,
         pixel_format: arguments.pixel_format.to_wire().into(),
         codec: codec_message(arguments.codec).into(),
     };
@@ -588,8 +608,14 @@ fn print_job(context: &Context, job: wire::Job) -> anyhow::Result<()> {
 
 fn job_text(job: &views::Job) -> String {
     let mut text = format!("{}  {}  {}  {}", job.name, job.kind, job.dataset, job.state);
+    if let Some(settings) = &job.fit {
+        text.push_str(&format!("\n{}", fit_settings_text(settings)));
+    }
     if let Some(p) = job.progress.as_ref().filter(|p| !p.stage.is_empty() && job.result.is_none()) {
         text.push_str(&format!("\n{}: {}/{}", p.stage, p.done, p.total));
+        if let Some(fit) = &p.fit {
+            text.push_str(&format!("\n{}", fit.text()));
+        }
     }
     if let Some(error) = &job.error {
         text.push_str(&format!("\n{} ({})", error.message, error.reason));
@@ -611,16 +637,41 @@ fn job_text(job: &views::Job) -> String {
     text
 }
 
+/// How a fit was asked for.
+fn fit_settings_text(settings: &views::FitSettings) -> String {
+    let switches = [(settings.reject_outliers, "outliers rejected"), (settings.polish, "polished")];
+    let bound = settings.max_bytes.map(|bytes| format!("at most {}", bytes_text(bytes)));
+    let models = std::iter::once(format!("models {}", settings.models));
+    let on = switches.iter().filter(|(is_on, _)| *is_on).map(|(_, name)| name.to_string());
+    models.chain(on).chain(bound).collect::<Vec<_>>().join(", ")
+}
+
 /// Which models the texels have, and what fits flagged.
 fn fit_text(fit: &Value) -> String {
     let counts = |of: &str| {
         let entries = fit[of].as_object().into_iter().flatten().filter(|(_, n)| n.as_u64() != Some(0));
         entries.map(|(name, n)| format!("{name} {n}")).collect::<Vec<_>>().join(", ")
     };
-    let rate = fit["texels"].as_f64().unwrap_or(0.0) / fit["seconds"].as_f64().unwrap_or(f64::NAN);
-    let rms = fit["rms_residual"].as_f64().unwrap_or(f64::NAN);
+    let number = |name: &str| fit[name].as_f64().unwrap_or(f64::NAN);
     let flagged = Some(counts("flags")).filter(|f| !f.is_empty()).map(|f| format!("; {f}")).unwrap_or_default();
-    format!("models: {}{flagged}; {rate:.0} texels/s, rms residual {rms:.5}", counts("histogram"))
+    let budget = fit.get("budget").map(|b| {
+        let bytes = |name: &str| bytes_text(b[name].as_u64().unwrap_or_default());
+        let (asked, got, before) = (bytes("max_bytes"), bytes("bytes"), bytes("bytes_before"));
+        let residual = b["rms_residual_before"].as_f64().unwrap_or(f64::NAN);
+        format!(
+            "\nbytes: {asked} asked, {got} got ({before} before); {} texels reduced, rms residual {residual:.5} before",
+            b["texels_reduced"]
+        )
+    });
+    format!(
+        "models: {}{flagged}; {:.0} texels/s\nresidual: rms {:.5}, median {:.5}, p95 {:.5}{}",
+        counts("histogram"),
+        number("texels_per_second"),
+        number("rms_residual"),
+        number("median_residual"),
+        number("p95_residual"),
+        budget.unwrap_or_default()
+    )
 }
 
 /// What thinning left out, and what that did to the error.

@@ -140,7 +140,7 @@ async fn run_all(
     for strategy in strategies {
         for phase in &arguments.phases {
             let stage = format!("{}{}", phase.name(), strategy.map(|s| format!(" ({s})")).unwrap_or_default());
-            let show = |done, total| meter.update(Progress { stage: &stage, done, total, seconds_left: None });
+            let show = |done, total| meter.update(Progress { stage: &stage, done, total, seconds_left: None, detail: "" });
             results.push(runner.run(*phase, strategy, paths, show).await?);
         }
     }

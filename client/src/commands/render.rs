@@ -102,7 +102,7 @@ pub async fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<()>
     let mut meter = Meter::new(context.output);
     let mut pictures = Vec::new();
     for (index, (camera, names)) in cameras.iter().zip(&names).enumerate() {
-        meter.update(Progress { stage: "rendering", done: index as u64, total: cameras.len() as u64, seconds_left: None });
+        meter.update(Progress { stage: "rendering", done: index as u64, total: cameras.len() as u64, seconds_left: None, detail: "" });
         let started = Instant::now();
         let frame = source.frame(index as u64 + 1, camera).await.with_context(|| format!("frame {index}"))?;
         let round_trip = started.elapsed();
@@ -155,7 +155,8 @@ impl<'a> FrameSource<'a> {
             return Ok(Self::Unary { context, client, template });
         }
         let (up, messages) = mpsc::channel(4);
-        let open = wire::OpenInteraction { dataset, version, settings, output, credits: CREDITS };
+        // Every frame is kept: none shall be smaller for having moved.
+        let open = wire::OpenInteraction { dataset, version, settings, output, credits: CREDITS, moving_frames_per_second: 0.0 };
         send(&up, Up::Open(open)).await?;
         let down = client.interact(context.patient_request(ReceiverStream::new(messages))).await?.into_inner();
         Ok(Self::Stream { up, down })
@@ -263,7 +264,7 @@ mod tests {
 
     #[test]
     fn files_are_numbered_and_named_by_what_they_hold() {
-        let output = OutputFlags { format: Format::Exr, jpeg_quality: 90, exposure_stops: 0.0, depth: true, provenance: false };
+        let output = OutputFlags { format: Format::Exr, jpeg_quality: 90, exposure_stops: 0.0, gamma: 0.0, depth: true, provenance: false };
         assert_eq!(file_names(2, &output), [["frame-00000.exr", "frame-00000.depth.zst"], ["frame-00001.exr", "frame-00001.depth.zst"]]);
     }
 

@@ -95,12 +95,13 @@ async fn follow_once(
         let progress = job.progress.clone().unwrap_or_default();
         match job.state() {
             JobState::Succeeded | JobState::Failed | JobState::Cancelled => return Ok(Some(job)),
-            JobState::Pending => meter.update(Progress { stage: "waiting", done: 0, total: 0, seconds_left: None }),
+            JobState::Pending => meter.update(Progress { stage: "waiting", done: 0, total: 0, seconds_left: None, detail: "" }),
             _ => meter.update(Progress {
                 stage: if progress.stage.is_empty() { "starting" } else { &progress.stage },
                 done: progress.done,
                 total: progress.total,
                 seconds_left: progress.seconds_left,
+                detail: &progress.fit.clone().map(|fit| views::FitProgress::from(fit).text()).unwrap_or_default(),
             }),
         }
     }

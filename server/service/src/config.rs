@@ -41,8 +41,12 @@ pub struct Config {
     pub max_pixels_per_frame: u64,
     /// Renders that wait.
     pub render_queue_length: usize,
-    /// `Interact` streams open at once.
+    /// Viewers at once: `Interact` streams and sessions.
     pub max_sessions: usize,
+    /// How long a session is kept while no stream of it is open.
+    pub session_expiry: Duration,
+    /// How long a viewer may leave a frame unread or unacknowledged.
+    pub mute_viewer: Duration,
     /// Jobs that run at once.
     pub max_concurrent_jobs: usize,
     /// Threads that jobs share; 0 for one a core.
@@ -266,7 +270,24 @@ const SETTINGS: &[Setting] = &[
         default: "64",
         about: "Renders that may wait before new ones are refused",
     },
-    Setting { key: "max_sessions", kind: Kind::Count { min: 1, max: 65_536 }, default: "64", about: "Interact streams open at once" },
+    Setting {
+        key: "max_sessions",
+        kind: Kind::Count { min: 1, max: 65_536 },
+        default: "64",
+        about: "Viewers at once: Interact streams and sessions",
+    },
+    Setting {
+        key: "session_expiry_seconds",
+        kind: Kind::Count { min: 1, max: 86_400 },
+        default: "30",
+        about: "Seconds that a viewer's session is kept while no stream of it is open",
+    },
+    Setting {
+        key: "mute_viewer_seconds",
+        kind: Kind::Count { min: 1, max: 86_400 },
+        default: "60",
+        about: "Seconds that a viewer may leave a frame unread or unacknowledged before its stream is ended",
+    },
     Setting { key: "max_concurrent_jobs", kind: Kind::Count { min: 1, max: 64 }, default: "1", about: "Jobs that run at once" },
     Setting {
         key: "job_threads",
@@ -427,6 +448,8 @@ impl Config {
             max_pixels_per_frame: count("max_pixels_per_frame"),
             render_queue_length: size("render_queue_length"),
             max_sessions: size("max_sessions"),
+            session_expiry: Duration::from_secs(count("session_expiry_seconds")),
+            mute_viewer: Duration::from_secs(count("mute_viewer_seconds")),
             max_concurrent_jobs: size("max_concurrent_jobs"),
             job_threads: size("job_threads"),
             job_scene_bytes: count("job_scene_bytes"),

@@ -4,6 +4,7 @@
 
 use std::collections::{BTreeMap, HashMap};
 use std::fmt;
+use std::time::Duration;
 
 use lumisphere::capture::observation_map::{ImportError, ObserveError};
 use lumisphere::evaluate::{EvaluateError, ThinError};
@@ -90,7 +91,9 @@ pub fn code_of(reason: Reason) -> Code {
     match reason {
         Reason::Unspecified | Reason::Internal | Reason::JobFailed => Code::Internal,
         Reason::FieldInvalid | Reason::SceneInvalid => Code::InvalidArgument,
-        Reason::DatasetNotFound | Reason::VersionNotFound | Reason::BlobNotFound | Reason::JobNotFound => Code::NotFound,
+        Reason::DatasetNotFound | Reason::VersionNotFound | Reason::BlobNotFound | Reason::JobNotFound | Reason::SessionNotFound => {
+            Code::NotFound
+        }
         Reason::DatasetExists | Reason::RequestIdReused => Code::AlreadyExists,
         Reason::DatasetEmpty
         | Reason::DatasetKindMismatch
@@ -100,7 +103,7 @@ pub fn code_of(reason: Reason) -> Code {
         | Reason::FormatTooNew
         | Reason::NoGpu
         | Reason::InteractionOrder => Code::FailedPrecondition,
-        Reason::DatasetBusy | Reason::RecordingBusy | Reason::ReplayBusy => Code::Aborted,
+        Reason::DatasetBusy | Reason::RecordingBusy | Reason::ReplayBusy | Reason::SessionTakenOver => Code::Aborted,
         Reason::BlobHashMismatch | Reason::DataCorrupt => Code::DataLoss,
         Reason::UploadTooLarge
         | Reason::JobQueueFull
@@ -112,7 +115,17 @@ pub fn code_of(reason: Reason) -> Code {
         | Reason::DiskFull => Code::ResourceExhausted,
         Reason::JobCancelled => Code::Cancelled,
         Reason::GpuUnavailable | Reason::ShuttingDown => Code::Unavailable,
-        Reason::DeadlineExceeded => Code::DeadlineExceeded,
+        Reason::DeadlineExceeded | Reason::ViewerMute => Code::DeadlineExceeded,
+    }
+}
+
+/// When to try again what was refused because others were first; None where trying again is of no use, or nobody knows.
+fn retry_after(reason: Reason) -> Option<Duration> {
+    match reason {
+        Reason::RenderQueueFull => Some(Duration::from_millis(100)),
+        Reason::TooManySessions => Some(Duration::from_secs(2)),
+        Reason::JobQueueFull => Some(Duration::from_secs(10)),
+        _ => None,
     }
 }
 
@@ -231,8 +244,9 @@ impl From<ImportError> for ApiError {
 impl From<FitError> for ApiError {
     fn from(error: FitError) -> Self {
         match error {
-            FitError::PageShape { .. } => Self::new(Reason::DataCorrupt, error.to_string()),
+            FitError::PageShape { .. } | FitError::Lost { .. } => Self::new(Reason::DataCorrupt, error.to_string()),
             FitError::Settings(_) | FitError::Harmonics(_) => Self::field("spec.fit", error),
+            FitError::MaxBytes { .. } => Self::field("spec.fit.max_bytes", error),
             FitError::TooLarge { .. } => Self::field("spec.fit.models", error),
             FitError::Cancelled(error) => error.into(),
             FitError::Store(error) => error.into(),
@@ -280,6 +294,9 @@ impl From<ApiError> for Status {
         let code = error.code();
         let metadata: HashMap<String, String> = error.metadata.into_iter().collect();
         let mut details = ErrorDetails::with_error_info(reason_name(error.reason), ERROR_DOMAIN, metadata);
+        if let Some(delay) = retry_after(error.reason) {
+            details.set_retry_info(Some(delay));
+        }
         for violation in error.violations {
             details.add_bad_request_violation(violation.field, violation.description);
         }
@@ -304,6 +321,14 @@ mod tests {
         assert_eq!(info.metadata["limit"], "3");
         let violation = &details.bad_request().unwrap().field_violations[0];
         assert_eq!((violation.field.as_str(), violation.description.as_str()), ("Camera.pose", "missing, a rigid pose expected"));
+    }
+
+    #[test]
+    fn who_is_refused_for_others_learns_when_to_try_again() {
+        let retry = |reason| Status::from(ApiError::new(reason, "no")).get_details_retry_info().and_then(|info| info.retry_delay);
+        assert_eq!(retry(Reason::RenderQueueFull), Some(Duration::from_millis(100)));
+        assert_eq!(retry(Reason::TooManySessions), Some(Duration::from_secs(2)));
+        assert_eq!(retry(Reason::FrameTooLarge), None);
     }
 
     #[test]

@@ -41,6 +41,10 @@ impl<'a> FramePages<'a> {
 }
 
 impl PageSource for FramePages<'_> {
+    fn version_slot(&self) -> u32 {
+        self.pages.version_slot()
+    }
+
     fn page(&self, page: PageId) -> Result<Fetched, StoreError> {
         let (page, cost) = self.pages.cache.page_with_cost(&self.pages.version, page)?;
         // As the cache counts a page that was there.

@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use bytes::Bytes;
 use lumisphere::geometry::Camera;
-use lumisphere::images::{Exposure, ExrStorage, Image, ToneMap, encode_exr_rgb, encode_jpeg, encode_png, tone_mapped};
+use lumisphere::images::{ExrStorage, Image, encode_exr_rgb, encode_jpeg, encode_png, tone_mapped};
 use lumisphere::render::{Backend, Frame, FrameRequest, Outputs, Refine, RenderError, Renderer};
 use lumisphere::textures::{Page, PageId};
 
@@ -71,7 +71,7 @@ impl Frames {
 
     /// The adapter's tier of the texture cache after the last frame; None without an adapter.
     pub fn gpu_tier(&self) -> Option<GpuTier> {
-        *self.gpu.lock().unwrap_or_else(PoisonError::into_inner)
+        self.gpu.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
     /// Changes the adapter's tier, in its turn among the frames.
@@ -119,17 +119,31 @@ impl Frames {
         who: Priority,
         deadline: Option<tokio::time::Instant>,
     ) -> Result<EncodedFrame, ApiError> {
-        let (output, camera, opening_micros) = (order.output, order.camera, order.opening_micros);
-        let rendered = self.render(order, who, deadline).await?;
+        Ok(self.encoded_late(move || (order, ()), who, deadline).await?.0)
+    }
+
+    /// The same of what is ordered when its turn comes, on the render thread; and what the orderer wants to remember of it.
+    pub async fn encoded_late<T: Send + 'static>(
+        &self,
+        order: impl FnOnce() -> (FrameOrder, T) + Send + 'static,
+        who: Priority,
+        deadline: Option<tokio::time::Instant>,
+    ) -> Result<(EncodedFrame, T), ApiError> {
+        let order = move || {
+            let (order, noted) = order();
+            let told = (order.output, order.camera, order.opening_micros, noted);
+            (order, told)
+        };
+        let (rendered, (output, camera, opening_micros, noted)) = self.draw(order, who, deadline).await?;
         let metrics = self.metrics.clone();
-        blocking(move || {
+        let encoding = move || {
             let Rendered { value, queued, slot, admitted } = rendered;
             let encoded = encode(value, camera, output, opening_micros, queued.as_micros() as u64)?;
             drop((slot, admitted));
             observe(&metrics, &encoded.timings);
             Ok(encoded)
-        })
-        .await
+        };
+        Ok((blocking(encoding).await?, noted))
     }
 
     /// The pixels, not encoded.
@@ -139,8 +153,18 @@ impl Frames {
         who: Priority,
         deadline: Option<tokio::time::Instant>,
     ) -> Result<Rendered<Drawn>, ApiError> {
+        Ok(self.draw(move || (order, ()), who, deadline).await?.0)
+    }
+
+    async fn draw<T: Send + 'static>(
+        &self,
+        order: impl FnOnce() -> (FrameOrder, T) + Send + 'static,
+        who: Priority,
+        deadline: Option<tokio::time::Instant>,
+    ) -> Result<(Rendered<Drawn>, T), ApiError> {
         let gpu = self.gpu.clone();
         let work = move |renderer: &mut Renderer| {
+            let (order, noted) = order();
             let outputs = Outputs { depth: order.output.depth, provenance: order.output.provenance };
             let request = FrameRequest { camera: &order.camera, settings: &order.settings.settings, outputs, refine: order.refine };
             let backend = match order.settings.backend {
@@ -157,10 +181,11 @@ impl Frames {
             let adapter_use = frame.stats.gpu.map(|frame| AdapterUse { before, after, frame });
             let cache = cache_use(&pages.asked(), adapter_use.as_ref());
             let adapter = (frame.stats.backend == Backend::Gpu).then(|| renderer.adapter().unwrap_or_default().to_string());
-            Ok::<_, RenderError>(Drawn { frame, adapter, cache })
+            Ok::<_, RenderError>((Drawn { frame, adapter, cache }, noted))
         };
         let Rendered { value, queued, slot, admitted } = self.queue.run(who, deadline, work).await.map_err(|e| self.refused(e))?;
-        Ok(Rendered { value: value?, queued, slot, admitted })
+        let (value, noted) = value?;
+        Ok((Rendered { value, queued, slot, admitted }, noted))
     }
 
     fn refused(&self, error: QueueError) -> ApiError {
@@ -178,7 +203,8 @@ impl Frames {
 }
 
 fn note_gpu_tier(place: &Mutex<Option<GpuTier>>, renderer: &Renderer) {
-    let tier = renderer.gpu_stats().zip(renderer.gpu_policy()).map(|(stats, policy)| GpuTier { stats, policy });
+    let versions = renderer.gpu_stats_by_version();
+    let tier = renderer.gpu_stats().zip(renderer.gpu_policy()).map(|(stats, policy)| GpuTier { stats, versions, policy });
     *place.lock().unwrap_or_else(PoisonError::into_inner) = tier;
 }
 
@@ -236,18 +262,12 @@ fn encode(drawn: Drawn, camera: Camera, output: Output, opening_micros: u64, que
 }
 
 fn encode_color(frame: &Frame, encoding: Encoding) -> Result<Bytes, ApiError> {
-    let tone_map = |stops: f32| {
-        let exposure = Exposure::new(stops.exp2()).expect("stops were checked to be within ±30");
-        ToneMap::Clamp(exposure)
-    };
     let failed = |e: lumisphere::images::ImageError| ApiError::internal(format!("cannot encode a frame: {e}"));
     let encoded = match encoding {
         Encoding::RawZstd => return compressed(frame.pixels.color.iter().map(|v| v.to_le_bytes())),
         Encoding::Exr => encode_exr_rgb(&color_image(frame), ExrStorage::Float),
-        Encoding::Png { exposure_stops } => tone_mapped(&color_image(frame), tone_map(exposure_stops)).and_then(|i| encode_png(&i)),
-        Encoding::Jpeg { quality, exposure_stops } => {
-            tone_mapped(&color_image(frame), tone_map(exposure_stops)).and_then(|i| encode_jpeg(&i, quality))
-        }
+        Encoding::Png { tone_map } => tone_mapped(&color_image(frame), tone_map).and_then(|i| encode_png(&i)),
+        Encoding::Jpeg { quality, tone_map } => tone_mapped(&color_image(frame), tone_map).and_then(|i| encode_jpeg(&i, quality)),
     };
     Ok(encoded.map_err(failed)?.into())
 }

@@ -14,7 +14,7 @@ use std::thread::{self, JoinHandle};
 
 use tokio::sync::watch;
 
-pub use attempt::{Attempt, Stage};
+pub use attempt::{Attempt, FitSoFar, Stage};
 pub use record::{Outcome, Record, ResultBlob, State};
 
 use self::record::{Failure, RecordFolder, job_number, now_millis};
@@ -174,7 +174,7 @@ impl Jobs {
 
     /// True while a job that has not ended writes this dataset.
     pub fn is_writing(&self, dataset: &str) -> bool {
-        self.shared.lock().unended().any(|r| r.writes.as_deref() == Some(dataset))
+        self.shared.lock().unended().any(|r| r.writes.as_deref().is_some_and(|written| are_one(written, dataset)))
     }
 
     /// Asks a job to stop. One that waits is cancelled at once.
@@ -332,10 +332,19 @@ impl Table {
             return Err(ApiError::new(Reason::JobQueueFull, message));
         }
         let Some(dataset) = &submission.writes else { return Ok(()) };
-        let Some(other) = self.unended().find(|v| v.record.writes.as_ref() == Some(dataset)) else { return Ok(()) };
+        let other = self.unended().find(|v| v.record.writes.as_deref().is_some_and(|written| are_one(written, dataset)));
+        let Some(other) = other else { return Ok(()) };
         let message = format!("dataset {dataset} is being written by {}", other.record.name());
         Err(ApiError::new(Reason::DatasetBusy, message).with("job", other.record.name()))
     }
+}
+
+/// What a fit shows of itself while it runs is a dataset beside its own, named with this behind.
+pub const PARTIAL: &str = "-partial";
+
+/// Whoever writes one of the two may write the other.
+fn are_one(a: &str, b: &str) -> bool {
+    a == b || a.strip_suffix(PARTIAL) == Some(b) || b.strip_suffix(PARTIAL) == Some(a)
 }
 
 impl std::ops::Deref for JobView {

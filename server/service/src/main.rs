@@ -16,6 +16,7 @@ mod serve;
 mod sessions;
 mod shutdown;
 mod telemetry;
+mod viewer_page;
 mod wire;
 mod work;
 
@@ -30,11 +31,11 @@ use tokio_util::sync::CancellationToken;
 
 use crate::api::{Adapter, App};
 use crate::catalog::{Catalog, UploadLimits};
-use crate::config::{BackendChoice, Config, Effective};
+use crate::config::{BackendChoice, Config, Effective, Prefetch};
 use crate::frames::Frames;
 use crate::jobs::{JobLimits, Jobs};
 use crate::render_queue::{RenderQueue, RenderThreadEnded};
-use crate::sessions::Sessions;
+use crate::sessions::{Sessions, Stage};
 use crate::shutdown::{Drained, until_drained};
 use crate::telemetry::{Metrics, start_logging};
 use crate::wire::jobs::SpecLimits;
@@ -124,16 +125,28 @@ fn assemble(effective: Effective, runtime: &tokio::runtime::Handle) -> anyhow::R
         threads: config.job_threads,
     };
     let jobs = Jobs::start(&config.data_dir.join("jobs"), job_limits, work).context("cannot read the job records")?;
+    let stopping = CancellationToken::new();
+    let stage = Stage {
+        catalog: catalog.clone(),
+        frames: frames.clone(),
+        metrics: metrics.clone(),
+        stopping: stopping.clone(),
+        max_pixels_per_frame: config.max_pixels_per_frame,
+        upload_bytes_per_frame: config.gpu_upload_bytes_per_frame,
+        looks_ahead: config.prefetch == Prefetch::Motion && adapter.is_some(),
+        expiry: config.session_expiry,
+        mute_patience: config.mute_viewer,
+    };
     let app = App {
         catalog,
         frames,
         jobs: Arc::new(jobs),
-        sessions: Sessions::new(config.max_sessions),
+        sessions: Sessions::new(config.max_sessions, stage),
         metrics,
         adapter,
         gpu_baseline: std::sync::Mutex::default(),
         replays: Arc::new(tokio::sync::Semaphore::new(1)),
-        stopping: CancellationToken::new(),
+        stopping,
         started: Instant::now(),
         frame_ids: AtomicU64::new(0),
         config,

@@ -1,29 +1,37 @@
 //! The one thread that renders, and who may wait for it.
 //!
 //! The thread owns the renderer (its graphics device is used from no other thread). A render passes three gates: *admission* (as many
-//! waiting as configured, one more is refused at once), a *slot* (a few frames are between start and the end of their encoding, so that
-//! finished pixels cannot pile up in memory), and the thread itself. Viewers go before jobs. Work whose caller has gone, or whose
-//! deadline has passed, is dropped before it starts. Idle work, a piece at a time, has a door of its own and goes after everyone: it takes
-//! no place from a render, which waits for no more than the piece that has begun.
+//! waiting as configured, one more is refused at once), its *turn*, and a *slot* (a few frames are between start and the end of their
+//! encoding, so that finished pixels cannot pile up in memory). Viewers go before jobs, and whoever has waited longest goes first, so that
+//! sessions with one wish at a time get equally many frames; a larger frame of a picture that is there already stands half a second behind
+//! the others. Work whose caller has gone leaves the line; work whose deadline has passed is dropped before it starts. Idle work, a piece at
+//! a time, goes after everyone: it takes no place from a render, which waits for no more than the piece that has begun.
 
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
+use std::fmt;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::Arc;
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::Duration;
 
-use crossbeam_channel::{Receiver, Sender, bounded, select_biased};
+use crossbeam_channel::{Receiver, bounded};
 use thiserror::Error;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, oneshot};
 use tokio::time::{Instant, timeout_at};
 
 /// Frames between start and the end of their encoding: one renders while two encode.
 const SLOTS: usize = 3;
+/// A frame for someone at rest lets others pass that come so much later.
+const STILL_PATIENCE: Duration = Duration::from_millis(500);
 
 /// Who waits.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Priority {
-    /// Someone looks: first.
+    /// Someone waits: first.
     Viewer,
+    /// Someone who has come to rest sees a smaller picture already.
+    Still,
     /// A job.
     Batch,
 }
@@ -49,18 +57,53 @@ pub enum QueueError {
 }
 
 type Work<R> = Box<dyn FnOnce(&mut R) + Send>;
+type Render<R> = Box<dyn FnOnce(&mut R, Slot) + Send>;
 
 /// The render thread's front door; cheap to clone.
 pub struct RenderQueue<R> {
     admission: Arc<Semaphore>,
     length: usize,
-    slots: Arc<Semaphore>,
-    viewers: Sender<Work<R>>,
-    jobs: Sender<Work<R>>,
-    idle_slot: Arc<Semaphore>,
-    idle: Sender<Work<R>>,
+    idle_place: Arc<Semaphore>,
+    door: Arc<Door<R>>,
     // Closed when the thread has ended.
     ended: Receiver<()>,
+}
+
+/// Closes the line when the last queue to it is dropped.
+struct Door<R>(Arc<Line<R>>);
+
+/// Those who wait for the thread.
+struct Line<R> {
+    state: Mutex<State<R>>,
+    changed: Condvar,
+}
+
+struct State<R> {
+    renders: BinaryHeap<Reverse<Waiting<R>>>,
+    /// How many have come: of two that came in the same moment, the first goes first.
+    arrivals: u64,
+    idle: Option<Work<R>>,
+    free_slots: usize,
+    is_closed: bool,
+}
+
+struct Waiting<R> {
+    /// Jobs after viewers, then by time, then by number.
+    place: (bool, Instant, u64),
+    render: Render<R>,
+}
+
+/// A caller's place in the line; given up with it.
+struct Place<'a, R> {
+    line: &'a Line<R>,
+    number: u64,
+}
+
+/// One of the few places between a frame's start and the end of its encoding; free again when dropped.
+pub struct Slot(Arc<dyn TakesBack>);
+
+trait TakesBack: Send + Sync {
+    fn take_back(&self);
 }
 
 impl<R> Clone for RenderQueue<R> {
@@ -68,11 +111,8 @@ impl<R> Clone for RenderQueue<R> {
         Self {
             admission: self.admission.clone(),
             length: self.length,
-            slots: self.slots.clone(),
-            viewers: self.viewers.clone(),
-            jobs: self.jobs.clone(),
-            idle_slot: self.idle_slot.clone(),
-            idle: self.idle.clone(),
+            idle_place: self.idle_place.clone(),
+            door: self.door.clone(),
             ended: self.ended.clone(),
         }
     }
@@ -97,7 +137,7 @@ pub struct Rendered<T> {
     /// From the call until the thread began.
     pub queued: Duration,
     /// Kept until the pixels are encoded.
-    pub slot: OwnedSemaphorePermit,
+    pub slot: Slot,
     /// Kept as long: what is rendered but not answered still counts as waiting.
     pub admitted: OwnedSemaphorePermit,
 }
@@ -106,10 +146,9 @@ impl<R: 'static> RenderQueue<R> {
     /// Starts the thread; `make` makes the renderer on it, and again after a panic. `length` renders may wait.
     /// Returns once the first renderer is made, with its error if it cannot be.
     pub fn start<E: Send + 'static>(length: usize, make: impl Fn() -> Result<R, E> + Send + 'static) -> Result<Self, E> {
-        // Only admitted work with a slot is sent, so a channel of SLOTS never blocks its sender.
-        let (viewers, viewer_work) = bounded::<Work<R>>(SLOTS);
-        let (jobs, job_work) = bounded::<Work<R>>(SLOTS);
-        let (idle, idle_work) = bounded::<Work<R>>(1);
+        let state = State { renders: BinaryHeap::new(), arrivals: 0, idle: None, free_slots: SLOTS, is_closed: false };
+        let line = Arc::new(Line { state: Mutex::new(state), changed: Condvar::new() });
+        let door = Arc::new(Door(line.clone()));
         let (ready, made) = bounded(1);
         let (alive, ended) = bounded(0);
         thread::Builder::new()
@@ -118,7 +157,7 @@ impl<R: 'static> RenderQueue<R> {
                 match make() {
                     Ok(renderer) => {
                         let _ = ready.send(Ok(()));
-                        render_until_closed(renderer, make, [viewer_work, job_work, idle_work]);
+                        render_until_closed(renderer, make, &line);
                     }
                     Err(error) => drop(ready.send(Err(error))),
                 }
@@ -127,9 +166,8 @@ impl<R: 'static> RenderQueue<R> {
             })
             .expect("a thread can be started while the server starts");
         made.recv().expect("the render thread answers before it ends")?;
-        let (admission, slots, idle_slot) = (Semaphore::new(length), Semaphore::new(SLOTS), Semaphore::new(1));
-        let (admission, slots, idle_slot) = (Arc::new(admission), Arc::new(slots), Arc::new(idle_slot));
-        Ok(Self { admission, length, slots, viewers, jobs, idle_slot, idle, ended })
+        let (admission, idle_place) = (Arc::new(Semaphore::new(length)), Arc::new(Semaphore::new(1)));
+        Ok(Self { admission, length, idle_place, door, ended })
     }
 
     /// To wait for the thread's end, which comes when every queue to it is dropped and its last work done.
@@ -148,11 +186,9 @@ impl<R: 'static> RenderQueue<R> {
         let admitted = self.admission.clone().try_acquire_owned().map_err(|_| QueueError::Full { waiting: self.length })?;
         // Far enough away to mean never, near enough not to overflow.
         let deadline = deadline.unwrap_or_else(|| called + Duration::from_secs(86_400));
-        let slot = self.slots.clone().acquire_owned();
-        let slot = timeout_at(deadline, slot).await.map_err(|_| QueueError::DeadlineExceeded)?.map_err(|_| QueueError::Stopped)?;
         let (answer, answered) = oneshot::channel();
-        // The permits travel with the work: a caller that leaves does not make room for more before its work is off the channel.
-        let boxed: Work<R> = Box::new(move |renderer| {
+        // The permit travels with the work: it is free again when the work is out of the line, with its caller or after its turn.
+        let render: Render<R> = Box::new(move |renderer, slot| {
             if answer.is_closed() {
                 return;
             }
@@ -170,17 +206,18 @@ impl<R: 'static> RenderQueue<R> {
                 }
             }
         });
-        let sender = if priority == Priority::Viewer { &self.viewers } else { &self.jobs };
-        sender.try_send(boxed).map_err(|_| QueueError::Stopped)?;
-        answered.await.map_err(|_| QueueError::Stopped)?
+        let _place = Place { line: &self.door.0, number: self.door.0.stand(priority, called, render) };
+        let answer = timeout_at(deadline, answered).await.map_err(|_| QueueError::DeadlineExceeded)?;
+        answer.map_err(|_| QueueError::Stopped)?
     }
 
-    /// Runs a piece of work, no longer than a frame, when no render waits for the thread. Dropping the future before it starts drops the work.
+    /// Runs a piece of work, no longer than a frame, when no render waits for the thread. Dropping the future before it starts drops the
+    /// work.
     pub async fn run_idle<T: Send + 'static>(&self, work: impl FnOnce(&mut R) -> T + Send + 'static) -> Result<T, QueueError> {
-        let slot = self.idle_slot.clone().acquire_owned().await.map_err(|_| QueueError::Stopped)?;
+        let place = self.idle_place.clone().acquire_owned().await.map_err(|_| QueueError::Stopped)?;
         let (answer, answered) = oneshot::channel();
         let boxed: Work<R> = Box::new(move |renderer| {
-            let _slot = slot;
+            let _place = place;
             if answer.is_closed() {
                 return;
             }
@@ -192,7 +229,7 @@ impl<R: 'static> RenderQueue<R> {
                 }
             }
         });
-        self.idle.try_send(boxed).map_err(|_| QueueError::Stopped)?;
+        self.door.0.stand_idle(boxed);
         answered.await.map_err(|_| QueueError::Stopped)?
     }
 
@@ -202,21 +239,142 @@ impl<R: 'static> RenderQueue<R> {
     }
 }
 
-/// Whose work comes first stands first.
-fn render_until_closed<R, E>(mut renderer: R, make: impl Fn() -> Result<R, E>, [viewers, jobs, idle]: [Receiver<Work<R>>; 3]) {
-    loop {
-        let work = select_biased! {
-            recv(viewers) -> work => work,
-            recv(jobs) -> work => work,
-            recv(idle) -> work => work,
-        };
-        let Ok(work) = work else { return };
+impl<R> Line<R> {
+    /// If the thread has ended the work is dropped, and its caller told so. Returns the place's number.
+    fn stand(&self, priority: Priority, called: Instant, render: Render<R>) -> u64 {
+        let since = if priority == Priority::Still { called + STILL_PATIENCE } else { called };
+        let mut state = self.lock();
+        if !state.is_closed {
+            state.arrivals += 1;
+            let place = (priority == Priority::Batch, since, state.arrivals);
+            state.renders.push(Reverse(Waiting { place, render }));
+            self.changed.notify_one();
+        }
+        state.arrivals
+    }
+
+    /// Gives up a place, and with it what the work holds, if its turn has not come yet.
+    fn leave(&self, number: u64) {
+        let mut left = Vec::new();
+        let mut state = self.lock();
+        if state.renders.iter().any(|Reverse(waiting)| waiting.place.2 == number) {
+            let (others, gone): (Vec<_>, _) = state.renders.drain().partition(|Reverse(waiting)| waiting.place.2 != number);
+            (state.renders, left) = (others.into(), gone);
+        }
+        drop(state);
+        // Outside the lock: it holds whatever the caller gave it.
+        drop(left);
+    }
+
+    /// One at a time: the caller holds the only place.
+    fn stand_idle(&self, work: Work<R>) {
+        let mut state = self.lock();
+        if !state.is_closed {
+            state.idle = Some(work);
+            self.changed.notify_one();
+        }
+    }
+
+    /// Waits for the next piece of work; None once nobody can bring any.
+    fn next(self: &Arc<Self>) -> Option<Work<R>>
+    where
+        R: 'static,
+    {
+        let mut state = self.lock();
+        loop {
+            if state.is_closed {
+                return None;
+            }
+            if state.free_slots > 0
+                && let Some(Reverse(first)) = state.renders.pop()
+            {
+                state.free_slots -= 1;
+                let slot = Slot(self.clone());
+                return Some(Box::new(move |renderer| (first.render)(renderer, slot)));
+            }
+            if let Some(work) = state.idle.take() {
+                return Some(work);
+            }
+            state = self.changed.wait(state).unwrap_or_else(PoisonError::into_inner);
+        }
+    }
+
+    /// Whoever still waits is told that the thread has ended.
+    fn close(&self) {
+        let mut state = self.lock();
+        state.is_closed = true;
+        let waiting = (std::mem::take(&mut state.renders), state.idle.take());
+        drop(state);
+        self.changed.notify_one();
+        drop(waiting);
+    }
+
+    fn lock(&self) -> MutexGuard<'_, State<R>> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl<R> Drop for Place<'_, R> {
+    fn drop(&mut self) {
+        self.line.leave(self.number);
+    }
+}
+
+impl<R> Drop for Door<R> {
+    fn drop(&mut self) {
+        self.0.close();
+    }
+}
+
+impl<R> TakesBack for Line<R> {
+    fn take_back(&self) {
+        self.lock().free_slots += 1;
+        self.changed.notify_one();
+    }
+}
+
+impl Drop for Slot {
+    fn drop(&mut self) {
+        self.0.take_back();
+    }
+}
+
+impl fmt::Debug for Slot {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("Slot")
+    }
+}
+
+impl<R> PartialEq for Waiting<R> {
+    fn eq(&self, other: &Self) -> bool {
+        self.place == other.place
+    }
+}
+
+impl<R> Eq for Waiting<R> {}
+
+impl<R> PartialOrd for Waiting<R> {
+    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl<R> Ord for Waiting<R> {
+    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
+        self.place.cmp(&other.place)
+    }
+}
+
+/// Ends when every queue to the line is dropped, or no renderer can be made any more.
+fn render_until_closed<R: 'static, E>(mut renderer: R, make: impl Fn() -> Result<R, E>, line: &Arc<Line<R>>) {
+    while let Some(work) = line.next() {
         if catch_unwind(AssertUnwindSafe(|| work(&mut renderer))).is_ok() {
             continue;
         }
         tracing::error!("rendering panicked; the renderer is made anew");
         let Ok(fresh) = make() else {
             tracing::error!("the renderer cannot be made anew; no more frames are rendered");
+            line.close();
             return;
         };
         renderer = fresh;

@@ -1,4 +1,4 @@
-//! The two ports: gRPC with gRPC-Web, health and reflection on one, metrics and probes on the other.
+//! The two ports: gRPC with gRPC-Web, health, reflection and the browser viewer on one, metrics and probes on the other.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -19,6 +19,7 @@ use tower_http::cors::{AllowOrigin, CorsLayer};
 use crate::api::{Api, App};
 use crate::shutdown::{Drained, StopSignals, until_drained};
 use crate::telemetry::{Metrics, Observed, RpcMetrics, http_routes};
+use crate::viewer_page::ViewerPage;
 use crate::wire::cache::{dataset_counts, tier_counts, tier_name};
 use crate::wire::proto::cache_server::{CacheServer, SERVICE_NAME as CACHE};
 use crate::wire::proto::datasets_server::{DatasetsServer, SERVICE_NAME as DATASETS};
@@ -69,6 +70,7 @@ pub async fn serve(app: Arc<App>, grace: Duration) -> anyhow::Result<()> {
         .initial_stream_window_size(Some(STREAM_WINDOW_BYTES))
         .initial_connection_window_size(Some(CONNECTION_WINDOW_BYTES))
         .http2_max_header_list_size(Some(MAX_HEADER_BYTES))
+        .layer(ViewerPage)
         .layer(cors(&app.config.allowed_origins)?)
         .layer(GrpcWebLayer::new())
         .layer(RpcMetrics { metrics: app.metrics.clone() })
@@ -147,7 +149,10 @@ fn observed(app: &Arc<App>) -> Arc<Observed> {
         m.renders_waiting.set(seen.frames.waiting() as i64);
         let cache = seen.cache_stats();
         cache.tiers.iter().for_each(|t| m.cache_tier(tier_name(t), tier_counts(t)));
-        cache.datasets.iter().for_each(|d| m.cache_dataset(&d.dataset, d.version, dataset_counts(d)));
+        for d in &cache.datasets {
+            m.cache_dataset(&d.dataset, d.version, dataset_counts(d));
+            d.tiers.iter().for_each(|t| m.cache_dataset_tier(tier_name(t), &d.dataset, d.version, tier_counts(t)));
+        }
     };
     Arc::new(Observed { metrics: app.metrics.clone(), refresh: Box::new(refresh), stopping: app.stopping.clone() })
 }

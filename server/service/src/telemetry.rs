@@ -50,6 +50,14 @@ struct TierLabels {
     tier: &'static str,
 }
 
+/// Labels of a dataset version's part of a tier.
+#[derive(Debug, Clone, Hash, PartialEq, Eq, EncodeLabelSet)]
+struct DatasetTierLabels {
+    tier: &'static str,
+    dataset: String,
+    version: u64,
+}
+
 /// Labels of a dataset version that was asked for.
 #[derive(Debug, Clone, Hash, PartialEq, Eq, EncodeLabelSet)]
 struct DatasetLabels {
@@ -57,8 +65,8 @@ struct DatasetLabels {
     version: u64,
 }
 
-/// Instruments of a tier; events since start or the last reset.
-const TIER_COUNTS: [(&str, &str); 11] = [
+/// Instruments of a tier; events since start or the last reset. All but the last are told of every dataset, too, as "dataset_" and the name.
+const TIER_COUNTS: [(&str, &str); 12] = [
     ("cache_look_ups", "Texture pages or blocks asked for"),
     ("cache_hits", "Of those, found in the tier"),
     ("cache_misses", "Of those, not in the tier"),
@@ -66,11 +74,15 @@ const TIER_COUNTS: [(&str, &str); 11] = [
     ("cache_bytes_in", "Bytes brought into the tier"),
     ("cache_bytes", "Bytes held"),
     ("cache_peak_bytes", "Most bytes held at once"),
-    ("cache_budget_bytes", "Bytes that may be held"),
     ("cache_prefetched", "Pages brought ahead of need"),
     ("cache_prefetch_used", "Of those, wanted before they left; gpu only"),
     ("cache_prefetch_wasted", "Of those, dropped before anyone wanted them; gpu only"),
+    ("cache_uploads", "Times a page was copied to the adapter, whole or in part; gpu only"),
+    ("cache_budget_bytes", "Bytes that may be held"),
 ];
+
+/// The budget is everyone's.
+const DATASET_TIER_COUNTS: usize = TIER_COUNTS.len() - 1;
 
 /// Instruments of a dataset version; events since start or the last reset.
 const DATASET_COUNTS: [(&str, &str); 20] = [
@@ -105,11 +117,13 @@ pub struct Metrics {
     pub frames: Counter,
     /// Poses that a newer one overtook.
     pub poses_overtaken: Counter,
+    /// Frames of full size that were dropped because the viewer moved on.
+    pub stills_abandoned: Counter,
     /// Times that pages were looked for, and brought, ahead of a moving viewer's next frame.
     pub looks_ahead: Counter,
     /// Renders refused because the queue was full.
     pub renders_refused: Counter,
-    /// Interact streams open.
+    /// Viewers: Interact streams and sessions.
     pub sessions: Gauge,
     /// Jobs waiting.
     pub jobs_pending: Gauge,
@@ -119,6 +133,7 @@ pub struct Metrics {
     pub renders_waiting: Gauge,
     cache_tiers: [Family<TierLabels, Gauge>; TIER_COUNTS.len()],
     cache_datasets: [Family<DatasetLabels, Gauge>; DATASET_COUNTS.len()],
+    cache_dataset_tiers: [Family<DatasetTierLabels, Gauge>; DATASET_TIER_COUNTS],
 }
 
 impl Metrics {
@@ -131,6 +146,7 @@ impl Metrics {
             frame_seconds: Family::new_with_constructor(histogram),
             frames: Counter::default(),
             poses_overtaken: Counter::default(),
+            stills_abandoned: Counter::default(),
             looks_ahead: Counter::default(),
             renders_refused: Counter::default(),
             sessions: Gauge::default(),
@@ -139,15 +155,17 @@ impl Metrics {
             renders_waiting: Gauge::default(),
             cache_tiers: Default::default(),
             cache_datasets: Default::default(),
+            cache_dataset_tiers: Default::default(),
         };
         let r = &mut m.registry;
         r.register("rpc_server_call_duration_seconds", "Rpcs until their last byte, by method and status code", m.rpc_seconds.clone());
         r.register("render_frame_seconds", "Frames by stage", m.frame_seconds.clone());
         r.register("render_frames", "Frames rendered and encoded", m.frames.clone());
         r.register("poses_overtaken", "Poses that a newer one overtook", m.poses_overtaken.clone());
+        r.register("stills_abandoned", "Frames of full size dropped because the viewer moved on", m.stills_abandoned.clone());
         r.register("looks_ahead", "Times that pages were brought ahead of a moving viewer's next frame", m.looks_ahead.clone());
         r.register("renders_refused", "Renders refused because the queue was full", m.renders_refused.clone());
-        r.register("sessions_active", "Interact streams open", m.sessions.clone());
+        r.register("sessions_active", "Viewers: Interact streams and sessions", m.sessions.clone());
         r.register("jobs_pending", "Jobs waiting", m.jobs_pending.clone());
         r.register("jobs_running", "Jobs running", m.jobs_running.clone());
         r.register("renders_waiting", "Renders waiting or in work", m.renders_waiting.clone());
@@ -156,6 +174,9 @@ impl Metrics {
         }
         for ((name, about), family) in DATASET_COUNTS.iter().zip(&m.cache_datasets) {
             r.register(*name, *about, family.clone());
+        }
+        for ((name, about), family) in TIER_COUNTS.iter().zip(&m.cache_dataset_tiers) {
+            r.register(format!("dataset_{name}"), format!("Of a dataset. {about}"), family.clone());
         }
         m
     }
@@ -176,6 +197,13 @@ impl Metrics {
     pub fn cache_dataset(&self, dataset: &str, version: u64, counts: [u64; DATASET_COUNTS.len()]) {
         for (family, count) in self.cache_datasets.iter().zip(counts) {
             family.get_or_create(&DatasetLabels { dataset: dataset.into(), version }).set(count as i64);
+        }
+    }
+
+    /// Counts of a dataset version's part of a tier, as `TIER_COUNTS` lists them, without the last.
+    pub fn cache_dataset_tier(&self, tier: &'static str, dataset: &str, version: u64, counts: [u64; TIER_COUNTS.len()]) {
+        for (family, count) in self.cache_dataset_tiers.iter().zip(counts) {
+            family.get_or_create(&DatasetTierLabels { tier, dataset: dataset.into(), version }).set(count as i64);
         }
     }
 
@@ -322,7 +350,8 @@ mod tests {
         let metrics = Arc::new(Metrics::new());
         metrics.frame_stage("render", 12_000);
         metrics.frames.inc();
-        metrics.cache_tier("memory", [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11]);
+        metrics.cache_tier("memory", [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12]);
+        metrics.cache_dataset_tier("gpu", "teapot", 3, [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12]);
         metrics.cache_dataset("teapot", 3, std::array::from_fn(|i| i as u64 + 1));
         let measure = |path: &str, code: Option<&str>| {
             drop(Measure { metrics: metrics.clone(), path: path.into(), begun: Instant::now(), code: code.map(String::from) });
@@ -333,6 +362,7 @@ mod tests {
         let text = metrics.encode().unwrap();
         assert!(text.contains("lumisphere_render_frames_total 1"), "{text}");
         assert!(text.contains("lumisphere_cache_hits{tier=\"memory\"} 2"), "{text}");
+        assert!(text.contains("lumisphere_dataset_cache_misses{tier=\"gpu\",dataset=\"teapot\",version=\"3\"} 3"), "{text}");
         assert!(text.contains("lumisphere_texture_texel_misses{dataset=\"teapot\",version=\"3\"} 5"), "{text}");
         assert!(text.contains("lumisphere_render_frame_seconds_bucket{le=\"0.02\",stage=\"render\"} 1"), "{text}");
         assert!(

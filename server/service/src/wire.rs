@@ -15,7 +15,8 @@ use std::time::Duration;
 
 use lumisphere::textures::ContentHash;
 pub use lumisphere_proto::{
-    ERROR_DOMAIN, FILE_DESCRIPTOR_SET, MAX_CHUNK_BYTES, MAX_FRAME_MESSAGE_BYTES, MAX_REQUEST_BYTES, v1alpha1 as proto,
+    ERROR_DOMAIN, FILE_DESCRIPTOR_SET, MAX_CHUNK_BYTES, MAX_FRAME_MESSAGE_BYTES, MAX_LINK_PAYLOAD_BYTES, MAX_REQUEST_BYTES,
+    v1alpha1 as proto,
 };
 
 use crate::errors::{ApiError, Reason};

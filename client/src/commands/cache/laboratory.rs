@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use clap::{Args, ValueEnum};
-use lumisphere::charts::{Line, LineChart, svg};
+use lumisphere::charts::{Axes, Line, LineChart, svg};
 use lumisphere::textures::laboratory::{self, Order, Outcome, compare};
 use lumisphere::textures::{CacheOptions, Codec, PolicyKind, ReadStrategy, Store, StoreOptions, Trace};
 use serde::Serialize;
@@ -249,7 +249,7 @@ pub fn report(arguments: &ReportArguments, context: &Context) -> anyhow::Result<
         points(&text, arguments.strategy, column, factor).map_err(|e| Failure::Usage(format!("{}: {e}", arguments.table.display())))?;
     let title = format!("Recorded requests, strategy {}", arguments.strategy);
     let lines = points.into_iter().map(|(name, points)| Line { name, points }).collect();
-    let chart = svg(&LineChart { title: &title, x_label: "cache size in pages", y_label, lines })?;
+    let chart = svg(&LineChart { axes: Axes::Logarithmic, title: &title, x_label: "cache size in pages", y_label, lines })?;
     write_atomically(&arguments.out, chart.as_bytes(), Existing::from_force(arguments.force))?;
     context.output.document(&serde_json::json!({"chart": arguments.out}), || arguments.out.display().to_string())?;
     Ok(())

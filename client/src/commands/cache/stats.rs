@@ -32,6 +32,7 @@ fn tier(t: &wire::CacheTierStats) -> Value {
         "prefetched": t.prefetched,
         "prefetch_used": t.prefetch_used,
         "prefetch_wasted": t.prefetch_wasted,
+        "uploads": t.uploads,
     })
 }
 
@@ -69,11 +70,17 @@ fn dataset(d: &wire::DatasetCacheStats) -> Value {
         "entries": d.entries,
         "evictions": d.evictions,
         "texels": texels(&d.texels.unwrap_or_default()),
+        "tiers": d.tiers.iter().map(tier).collect::<Vec<_>>(),
     })
 }
 
 fn percent(part: u64, whole: u64) -> String {
     format!("{:.3} %", 100.0 * part as f64 / whole.max(1) as f64)
+}
+
+/// Of the pages that came ahead; the other tiers do not tell.
+fn of_use(t: &wire::CacheTierStats) -> String {
+    if t.tier() == wire::CacheTier::Gpu { t.prefetch_used.to_string() } else { "-".into() }
 }
 
 /// For people.
@@ -94,7 +101,7 @@ pub fn text(now: &wire::CacheStats) -> String {
             percent(t.misses, t.look_ups),
             t.evictions.to_string(),
             t.prefetched.to_string(),
-            if t.tier() == wire::CacheTier::Gpu { t.prefetch_used.to_string() } else { "-".into() },
+            of_use(t),
         ]
     }));
     let mut datasets =
@@ -115,9 +122,29 @@ pub fn text(now: &wire::CacheStats) -> String {
             bytes_text(t.bytes_redundant),
         ]
     }));
+    let mut shares =
+        vec![row(&["dataset", "tier", "used", "peak", "entries", "look-ups", "misses", "miss rate", "evictions", "in", "ahead", "of use"])];
+    let told = now.datasets.iter().flat_map(|d| d.tiers.iter().map(move |t| (d, t)));
+    shares.extend(told.map(|(d, t)| {
+        vec![
+            format!("{}@{}", d.dataset, d.version),
+            tier_name(t.tier()).into(),
+            bytes_text(t.used_bytes),
+            bytes_text(t.peak_bytes),
+            t.entries.to_string(),
+            t.look_ups.to_string(),
+            t.misses.to_string(),
+            percent(t.misses, t.look_ups),
+            t.evictions.to_string(),
+            bytes_text(t.bytes_in),
+            t.prefetched.to_string(),
+            of_use(t),
+        ]
+    }));
     let mut text = table(&tiers, &[2, 3, 4, 5, 6, 7, 8, 9, 10, 11]);
     if datasets.len() > 1 {
         text += &format!("\n\n{}", table(&datasets, &[2, 3, 4, 5, 6, 7, 8, 9, 10]));
+        text += &format!("\n\n{}", table(&shares, &[2, 3, 4, 5, 6, 7, 8, 9, 10, 11]));
     }
     text
 }

@@ -176,7 +176,7 @@ pub async fn run(
     let mut meter = Meter::new(context.output);
     let mut rows = Vec::new();
     for (done, requests) in RECORDED.into_iter().enumerate() {
-        meter.update(Progress { stage: "recording", done: done as u64, total: RECORDED.len() as u64, seconds_left: None });
+        meter.update(Progress { stage: "recording", done: done as u64, total: RECORDED.len() as u64, seconds_left: None, detail: "" });
         let record = async |order: wire::PixelOrder| {
             let request = wire::RecordTraceRequest {
                 dataset: dataset.into(),

@@ -1,6 +1,6 @@
 //! What a load test says: a table, a JSON document, a chart.
 
-use lumisphere::charts::{Line, LineChart, svg};
+use lumisphere::charts::{Axes, Line, LineChart, svg};
 use lumisphere::textures::ReadStrategy;
 use serde_json::{Value, json};
 
@@ -137,6 +137,7 @@ pub fn chart(results: &[Outcome]) -> anyhow::Result<String> {
         Line { name: format!("{}{strategy}", outcome.phase.name()), points: points.collect() }
     };
     Ok(svg(&LineChart {
+        axes: Axes::Logarithmic,
         title: "Frame latency",
         x_label: "one frame in so many takes longer",
         y_label: "milliseconds from when it was due",

@@ -68,7 +68,7 @@ impl Cache for Api {
             let empty = move |renderer: &Renderer| {
                 empty_gpu_tier(renderer);
                 if resets {
-                    renderer.forget_gpu_peak();
+                    renderer.forget_gpu_peaks();
                 }
             };
             app.frames.with_gpu_tier(empty).await?;

@@ -84,8 +84,8 @@ impl App {
     /// Every tier of the texture cache, counted since start or the last reset.
     pub fn cache_stats(&self) -> proto::CacheStats {
         let (now, baseline) = self.catalog.cache_stats();
-        let gpu_baseline = *self.gpu_baseline.lock().unwrap_or_else(PoisonError::into_inner);
-        cache_stats(&now, &baseline, self.frames.gpu_tier(), gpu_baseline.as_ref())
+        let gpu_baseline = self.gpu_baseline.lock().unwrap_or_else(PoisonError::into_inner);
+        cache_stats(&now, &baseline, self.frames.gpu_tier().as_ref(), gpu_baseline.as_ref())
     }
 
     /// Counters count from here.

@@ -28,8 +28,34 @@ impl Rendering for Api {
 
     async fn interact(&self, request: Request<Streaming<proto::InteractRequest>>) -> Result<Response<Self::InteractStream>, Status> {
         self.0.accepting()?;
-        let answers = self.0.sessions.interact(self.0.clone(), request.into_inner())?;
+        let answers = self.0.sessions.interact(request.into_inner())?;
         Ok(Response::new(Box::pin(ReceiverStream::new(answers))))
+    }
+
+    async fn open_session(&self, request: Request<proto::OpenSessionRequest>) -> Result<Response<proto::OpenSessionResponse>, Status> {
+        self.0.accepting()?;
+        Ok(Response::new(self.0.sessions.open_kept(request.into_inner().open).await?))
+    }
+
+    async fn update_session(
+        &self,
+        request: Request<proto::UpdateSessionRequest>,
+    ) -> Result<Response<proto::UpdateSessionResponse>, Status> {
+        self.0.sessions.update(request.into_inner())?;
+        Ok(Response::new(proto::UpdateSessionResponse {}))
+    }
+
+    type StreamFramesStream = Answers<proto::InteractResponse>;
+
+    async fn stream_frames(&self, request: Request<proto::StreamFramesRequest>) -> Result<Response<Self::StreamFramesStream>, Status> {
+        self.0.accepting()?;
+        let answers = self.0.sessions.stream(&request.into_inner().session_id)?;
+        Ok(Response::new(Box::pin(ReceiverStream::new(answers))))
+    }
+
+    async fn close_session(&self, request: Request<proto::CloseSessionRequest>) -> Result<Response<proto::CloseSessionResponse>, Status> {
+        self.0.sessions.close(&request.into_inner().session_id)?;
+        Ok(Response::new(proto::CloseSessionResponse {}))
     }
 }
 

@@ -1,17 +1,22 @@
 //! What the server is.
 
+use std::sync::LazyLock;
+
+use bytes::Bytes;
 use tonic::{Request, Response, Status};
 
 use super::{Api, App};
+use crate::errors::ApiError;
 use crate::wire::proto::{self, system_server::System};
-use crate::wire::{API, MAX_CHUNK_BYTES, MAX_FRAME_MESSAGE_BYTES, MAX_REQUEST_BYTES};
+use crate::wire::{API, MAX_CHUNK_BYTES, MAX_FRAME_MESSAGE_BYTES, MAX_LINK_PAYLOAD_BYTES, MAX_REQUEST_BYTES};
 
 /// Sorted.
-const FEATURES: [&str; 14] = [
+const FEATURES: [&str; 18] = [
     "encoding.exr",
     "encoding.jpeg",
     "encoding.png",
     "encoding.raw_zstd",
+    "exposure_gamma",
     "grpc-web",
     "health",
     "interact",
@@ -19,10 +24,20 @@ const FEATURES: [&str; 14] = [
     "job.evaluate",
     "job.path_render",
     "job.thin",
+    "measure_link",
+    "moving_frames_per_second",
     "reflection",
     "representation.offset_surface_light_field",
+    "sessions",
     "upload.resumable",
 ];
+
+/// What `MeasureLink` answers with: nothing on the way makes it shorter.
+static NOISE: LazyLock<Bytes> = LazyLock::new(|| {
+    let mut noise = vec![0; MAX_LINK_PAYLOAD_BYTES];
+    blake3::Hasher::new().finalize_xof().fill(&mut noise);
+    noise.into()
+});
 
 #[tonic::async_trait]
 impl System for Api {
@@ -47,6 +62,18 @@ impl System for Api {
             uptime_seconds: app.started.elapsed().as_secs_f64(),
             shutting_down: app.stopping.is_cancelled(),
         }))
+    }
+
+    async fn measure_link(&self, request: Request<proto::MeasureLinkRequest>) -> Result<Response<proto::MeasureLinkResponse>, Status> {
+        let request = request.into_inner();
+        let wanted = usize::try_from(request.answer_bytes).ok().filter(|wanted| *wanted <= MAX_LINK_PAYLOAD_BYTES);
+        let problem = || ApiError::field("answer_bytes", format!("{}, at most {MAX_LINK_PAYLOAD_BYTES} expected", request.answer_bytes));
+        let payload = NOISE.slice(..wanted.ok_or_else(problem)?);
+        if request.payload.len() > MAX_LINK_PAYLOAD_BYTES {
+            let problem = format!("{} bytes, at most {MAX_LINK_PAYLOAD_BYTES} expected", request.payload.len());
+            return Err(ApiError::field("payload", problem).into());
+        }
+        Ok(Response::new(proto::MeasureLinkResponse { payload, received_bytes: request.payload.len() as u64 }))
     }
 }
 

@@ -1,10 +1,11 @@
 //! A running job's link to the table: progress out, the wish to stop in.
 
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use lumisphere::progress::Progress;
+use lumisphere::representations::parameter_map::FitSummary;
 use tokio::sync::watch;
 
 use super::JobView;
@@ -24,6 +25,17 @@ pub struct Stage {
     pub total: u64,
     /// Estimated from the rate since the stage began in this run.
     pub seconds_left: Option<f64>,
+    /// Of a fit: what has come of it so far.
+    pub fit: Option<Arc<FitSoFar>>,
+}
+
+/// A fit under way.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FitSoFar {
+    /// Of all texels so far.
+    pub summary: FitSummary,
+    /// Where they can be seen.
+    pub partial_dataset: Option<String>,
 }
 
 /// One run of a job, seen from inside.
@@ -64,6 +76,14 @@ impl Attempt {
         self.stopped.load(Ordering::SeqCst)
     }
 
+    /// What has come of a fit so far; shown with the next progress.
+    pub fn tell_fit(&self, fit: FitSoFar) {
+        self.view.send_if_modified(|view| {
+            view.stage.fit = Some(Arc::new(fit));
+            false
+        });
+    }
+
     /// Under which unfinished work is kept: the job's name and birth, so that it stays unique when job records are deleted by hand.
     pub fn token(&self) -> String {
         let view = self.view.borrow();
@@ -85,11 +105,11 @@ impl Progress for Attempt {
             return;
         }
         clock.shown = now;
-        let stage = Stage { name: what.into(), done, total, seconds_left: clock.seconds_left(now, done, total) };
+        let seconds_left = clock.seconds_left(now, done, total);
         self.view.send_modify(|view| {
             view.sequence += 1;
             view.at_millis = now_millis();
-            view.stage = stage;
+            view.stage = Stage { name: what.into(), done, total, seconds_left, fit: view.stage.fit.take() };
         });
     }
 

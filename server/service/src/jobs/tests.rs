@@ -105,6 +105,8 @@ fn two_jobs_cannot_write_one_dataset_and_the_queue_is_bounded() {
     let busy = f.jobs.submit(capture("teapot", "a")).unwrap_err();
     assert_eq!((busy.reason(), busy.message()), (Reason::DatasetBusy, "dataset teapot is being written by job-000001"));
     assert!(f.jobs.is_writing("teapot") && !f.jobs.is_writing("cup"));
+    // What a fit into "teapot" would show of itself.
+    assert!(f.jobs.is_writing("teapot-partial") && !f.jobs.is_writing("teapot-part"));
     f.jobs.submit(capture("b", "")).unwrap();
     f.jobs.submit(capture("c", "")).unwrap();
     assert_eq!(f.jobs.submit(capture("d", "")).unwrap_err().reason(), Reason::JobQueueFull);

@@ -3,6 +3,8 @@
 use std::convert::Infallible;
 use std::sync::atomic::{AtomicU32, Ordering};
 
+use crossbeam_channel::Sender;
+
 use super::*;
 
 fn queue(length: usize) -> RenderQueue<u32> {
@@ -60,6 +62,21 @@ async fn work_whose_deadline_passed_or_whose_caller_left_is_never_begun() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn whoever_leaves_the_line_makes_room_at_once() {
+    let queue = queue(2);
+    let (release, held) = hold(&queue);
+    for _ in 0..10 {
+        let mut leaving = Box::pin(queue.run(Priority::Still, None, |_| ()));
+        assert!(futures_poll_once(leaving.as_mut()).await.is_none());
+        assert_eq!(queue.waiting(), 2);
+        drop(leaving);
+        assert_eq!(queue.waiting(), 1);
+    }
+    release.send(()).unwrap();
+    held.await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn viewers_go_before_jobs() {
     let queue = queue(8);
     let (release, held) = hold(&queue);
@@ -73,7 +90,7 @@ async fn viewers_go_before_jobs() {
             queue.run(priority, None, work).await.unwrap().value
         }
     };
-    // Polled once each, in this order, both are in their channels.
+    // Polled once each, in this order, both stand in line.
     let mut job = Box::pin(run(Priority::Batch));
     assert!(futures_poll_once(job.as_mut()).await.is_none());
     let mut viewer = Box::pin(run(Priority::Viewer));
@@ -102,6 +119,86 @@ async fn a_panic_is_told_to_its_caller_and_the_next_frame_has_a_fresh_renderer()
     let failed = queue.run(Priority::Viewer, None, |_| -> u32 { panic!("on purpose") }).await.unwrap_err();
     assert_eq!(failed, QueueError::Panicked("on purpose".into()));
     assert_eq!(queue.run(Priority::Viewer, None, |r| *r).await.unwrap().value, 0);
+}
+
+/// Eight sessions, each with one wish at a time, and eight jobs. A frame takes until all others stand in line again, so that every turn is a
+/// choice among all: who came last must not go first.
+#[tokio::test(flavor = "multi_thread")]
+async fn sessions_that_share_the_thread_get_equally_many_frames() {
+    const SESSIONS: usize = 8;
+    const JOBS: usize = 8;
+    const FRAMES: u32 = 100 * SESSIONS as u32;
+    let queue = queue(64);
+    let (release, held) = hold(&queue);
+    let mut sessions = Vec::new();
+    for _ in 0..SESSIONS {
+        let queue = queue.clone();
+        sessions.push(tokio::spawn(async move {
+            for served in 0.. {
+                let line = queue.clone();
+                let frame = move |frames: &mut u32| {
+                    *frames += 1;
+                    while *frames <= FRAMES && line.waiting() < SESSIONS + JOBS {
+                        thread::yield_now();
+                    }
+                    *frames
+                };
+                if queue.run(Priority::Viewer, None, frame).await.unwrap().value > FRAMES {
+                    return served;
+                }
+            }
+            unreachable!("the loop has no end");
+        }));
+    }
+    let jobs: Vec<_> = (0..JOBS).map(|_| tokio::spawn(waiting(queue.clone(), Priority::Batch))).collect();
+    while queue.waiting() < 1 + SESSIONS + JOBS {
+        tokio::task::yield_now().await;
+    }
+    release.send(()).unwrap();
+    held.await.unwrap();
+    let mut served: Vec<f64> = Vec::new();
+    for session in sessions {
+        served.push(f64::from(session.await.unwrap()));
+    }
+    for job in jobs {
+        job.await.unwrap();
+    }
+    let jain = served.iter().sum::<f64>().powi(2) / (SESSIONS as f64 * served.iter().map(|n| n * n).sum::<f64>());
+    assert!(jain >= 0.95, "{jain}: {served:?}");
+}
+
+async fn waiting(queue: RenderQueue<u32>, priority: Priority) {
+    queue.run(priority, None, |_| ()).await.unwrap();
+}
+
+/// The order in which they are taken, whatever order they came in; of equals the first.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn viewers_go_before_stills_for_half_a_second_and_jobs_go_last() {
+    let queue = queue(16);
+    let (release, held) = hold(&queue);
+    let order = |taken: &mut u32| {
+        *taken += 1;
+        *taken
+    };
+    // What was rendered is let go at once: it has a slot.
+    let stand = |priority| {
+        let queue = queue.clone();
+        Box::pin(async move { queue.run(priority, None, order).await.unwrap().value })
+    };
+    let [mut a, mut b, mut c, mut d, mut e, mut f] =
+        [Priority::Batch, Priority::Still, Priority::Viewer, Priority::Batch, Priority::Viewer, Priority::Still].map(stand);
+    for place in [&mut a, &mut b, &mut c, &mut d, &mut e, &mut f] {
+        assert!(futures_poll_once(place.as_mut()).await.is_none());
+    }
+    // Half a second later than the stills: behind them.
+    let late = Instant::now() + STILL_PATIENCE;
+    let (tell, told) = bounded(1);
+    let render: Render<u32> = Box::new(move |taken, _| tell.send(order(taken)).expect("the test listens"));
+    queue.door.0.stand(Priority::Viewer, late, render);
+    release.send(()).unwrap();
+    held.await.unwrap();
+    let taken = tokio::join!(a, b, c, d, e, f);
+    assert_eq!((taken, told.recv()), ((6, 3, 1, 7, 2, 4), Ok(5)));
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -148,41 +148,60 @@ pub fn recording(m: &proto::RecordTraceRequest) -> Result<(PixelOrder, Option<Lo
 }
 
 /// The adapter's tier.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct GpuTier {
     /// Counters and sizes.
     pub stats: GpuCacheStats,
+    /// The same by version slot.
+    pub versions: Vec<(u32, GpuCacheStats)>,
     /// Which page leaves first.
     pub policy: PolicyKind,
+}
+
+impl GpuTier {
+    fn of_version(&self, slot: u32) -> Option<&GpuCacheStats> {
+        self.versions.iter().find(|(version, _)| *version == slot).map(|(_, stats)| stats)
+    }
 }
 
 /// All tiers; events since `baseline`.
 pub fn cache_stats(
     now: &CacheSnapshot,
     baseline: &CacheSnapshot,
-    gpu: Option<GpuTier>,
+    gpu: Option<&GpuTier>,
     gpu_baseline: Option<&GpuTier>,
 ) -> proto::CacheStats {
     let texels = texel_stats(&now.decoded, &baseline.decoded);
     let datasets = now.versions.iter().map(|v| {
-        let same = baseline.versions.iter().find(|b| (&b.dataset, b.version) == (&v.dataset, v.version));
+        let same = baseline.versions.iter().find(|b| b.slot == v.slot);
         let before = same.map(|b| b.decoded).unwrap_or_default();
+        let compressed_before = same.map(|b| b.compressed).unwrap_or_default();
+        let texels = texel_stats(&v.decoded, &before);
+        let mut tiers = vec![
+            compressed_tier(now.compressed_policy, &v.compressed, &compressed_before, texels.bytes_read),
+            memory_tier(now.decoded_policy, &v.decoded, &before),
+        ];
+        tiers.extend(gpu.and_then(|gpu| {
+            let before = gpu_baseline.and_then(|b| b.of_version(v.slot)).copied().unwrap_or_default();
+            Some(gpu_tier(gpu.policy, gpu.of_version(v.slot)?, &before))
+        }));
         proto::DatasetCacheStats {
             dataset: v.dataset.clone(),
             version: v.version,
             strategy: strategy_message(v.strategy).into(),
-            texels: Some(texel_stats(&v.decoded, &before)),
+            texels: Some(texels),
             used_bytes: v.decoded.resident_bytes,
             peak_bytes: v.decoded.peak_bytes,
             entries: v.decoded.resident_pages,
             evictions: v.decoded.evictions.saturating_sub(before.evictions),
+            tiers,
         }
     });
     let mut tiers = vec![
         compressed_tier(now.compressed_policy, &now.compressed, &baseline.compressed, texels.bytes_read),
         memory_tier(now.decoded_policy, &now.decoded, &baseline.decoded),
     ];
-    tiers.extend(gpu.map(|now| gpu_tier(&now, gpu_baseline)));
+    tiers.extend(gpu.map(|gpu| gpu_tier(gpu.policy, &gpu.stats, &gpu_baseline.map(|b| b.stats).unwrap_or_default())));
     proto::CacheStats { tiers, texels: Some(texels), datasets: datasets.collect(), strategy: strategy_message(now.strategy).into() }
 }
 
@@ -196,9 +215,9 @@ pub fn tier_name(tier: &proto::CacheTierStats) -> &'static str {
 }
 
 /// In the order of the tier's instruments.
-pub fn tier_counts(t: &proto::CacheTierStats) -> [u64; 11] {
+pub fn tier_counts(t: &proto::CacheTierStats) -> [u64; 12] {
     let (prefetched, used, wasted) = (t.prefetched, t.prefetch_used, t.prefetch_wasted);
-    [t.look_ups, t.hits, t.misses, t.evictions, t.bytes_in, t.used_bytes, t.peak_bytes, t.budget_bytes, prefetched, used, wasted]
+    [t.look_ups, t.hits, t.misses, t.evictions, t.bytes_in, t.used_bytes, t.peak_bytes, prefetched, used, wasted, t.uploads, t.budget_bytes]
 }
 
 /// In the order of the dataset's instruments.
@@ -270,6 +289,7 @@ fn memory_tier(policy: PolicyKind, now: &CacheStats, before: &CacheStats) -> pro
         prefetched: since(|s| s.prefetches),
         prefetch_used: 0,
         prefetch_wasted: 0,
+        uploads: 0,
     }
 }
 
@@ -290,19 +310,19 @@ fn compressed_tier(policy: PolicyKind, now: &CompressedStats, before: &Compresse
         prefetched: 0,
         prefetch_used: 0,
         prefetch_wasted: 0,
+        uploads: 0,
     }
 }
 
-fn gpu_tier(now: &GpuTier, before: Option<&GpuTier>) -> proto::CacheTierStats {
-    let before = before.map(|t| t.stats).unwrap_or_default();
-    let since = |get: fn(&GpuCacheStats) -> u64| get(&now.stats).saturating_sub(get(&before));
+fn gpu_tier(policy: PolicyKind, now: &GpuCacheStats, before: &GpuCacheStats) -> proto::CacheTierStats {
+    let since = |get: fn(&GpuCacheStats) -> u64| get(now).saturating_sub(get(before));
     proto::CacheTierStats {
         tier: proto::CacheTier::Gpu.into(),
-        policy: policy_message(now.policy).into(),
-        budget_bytes: now.stats.budget_bytes,
-        used_bytes: now.stats.device_bytes,
-        peak_bytes: now.stats.peak_device_bytes,
-        entries: now.stats.resident_pages,
+        policy: policy_message(policy).into(),
+        budget_bytes: now.budget_bytes,
+        used_bytes: now.device_bytes,
+        peak_bytes: now.peak_device_bytes,
+        entries: now.resident_pages,
         look_ups: since(|s| s.look_ups),
         hits: since(|s| s.hits),
         misses: since(|s| s.misses),
@@ -311,6 +331,7 @@ fn gpu_tier(now: &GpuTier, before: Option<&GpuTier>) -> proto::CacheTierStats {
         prefetched: since(|s| s.prefetched),
         prefetch_used: since(|s| s.prefetch_used),
         prefetch_wasted: since(|s| s.prefetch_wasted),
+        uploads: since(|s| s.uploads),
     }
 }
 

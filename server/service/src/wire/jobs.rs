@@ -1,11 +1,14 @@
 //! Job specifications in, jobs out.
 
+use std::time::Duration;
+
 use lumisphere::capture::observation_map::{Coverage, MOST_TEXELS_PER_EDGE, ObserveSettings, Response};
 use lumisphere::directions::{Scheme, SchemeError};
 use lumisphere::evaluate::ThinMetric;
+use lumisphere::fitting::{Outliers, Precision};
 use lumisphere::geometry::Camera;
 use lumisphere::representations::offset_surface_light_field::Spacing;
-use lumisphere::representations::parameter_map;
+use lumisphere::representations::parameter_map::{self, AllowedModels};
 use lumisphere::textures::{Codec, ContentHash, PixelFormat};
 use prost::Message;
 
@@ -14,7 +17,7 @@ use super::scenes::{SceneSource, scene_source, uploaded_files};
 use super::settings::{Output, RenderSettings, output, render_settings};
 use super::{camera, count, dataset_name, positive, proto, required, timestamp, within};
 use crate::errors::ApiError;
-use crate::jobs::{JobView, Outcome, State};
+use crate::jobs::{FitSoFar, JobView, Outcome, PARTIAL, State};
 
 const MAX_SETTINGS: usize = 64;
 /// Default of `VirtualPhotographs.directions`.
@@ -244,6 +247,8 @@ pub struct FitSpec {
     pub dataset: String,
     /// How to fit and store.
     pub settings: parameter_map::ConstructSettings,
+    /// Between two partial maps, and the dataset that gets them; None: none.
+    pub partial: Option<(Duration, String)>,
 }
 
 /// Limits that specifications are held to.
@@ -534,12 +539,27 @@ fn virtual_photographs(
 fn fit(m: proto::FitSpec, field: &str) -> Result<FitSpec, ApiError> {
     let at = |name: &str| format!("{field}.{name}");
     let models = if m.models.is_empty() { "auto" } else { m.models.as_str() };
+    let models: AllowedModels = models.parse().map_err(|e: parameter_map::UnknownModels| ApiError::field(at("models"), e.to_string()))?;
+    if m.reject_outliers && matches!(models, AllowedModels::Harmonics(_)) {
+        return Err(ApiError::field(at("reject_outliers"), format!("with models {models}, auto, constant or phong:N expected")));
+    }
+    let dataset = dataset_name(&m.dataset, &at("dataset"))?;
+    let partial = || {
+        let field = at("publish_every_seconds");
+        let every = Duration::from_secs_f32(within(m.publish_every_seconds, 0.001, 1e6, &field)?);
+        Ok::<_, ApiError>((every, dataset_name(&format!("{dataset}{PARTIAL}"), &field)?))
+    };
+    let partial = (m.publish_every_seconds != 0.0).then(partial).transpose()?;
     Ok(FitSpec {
         observations: dataset_name(&m.observations, &at("observations"))?,
         version: m.version,
-        dataset: dataset_name(&m.dataset, &at("dataset"))?,
+        dataset,
+        partial,
         settings: parameter_map::ConstructSettings {
-            models: models.parse().map_err(|e: parameter_map::UnknownModels| ApiError::field(at("models"), e.to_string()))?,
+            models,
+            outliers: if m.reject_outliers { Outliers::Reject } else { Outliers::Keep },
+            precision: if m.polish { Precision::Polished } else { Precision::Single },
+            max_bytes: (m.max_bytes != 0).then_some(m.max_bytes),
             noise_floor: if m.noise_floor == 0.0 { None } else { Some(positive(m.noise_floor, &at("noise_floor"))?) },
             relative_noise: within(m.relative_noise.unwrap_or(DEFAULT_RELATIVE_NOISE), 0.0, 1.0, &at("relative_noise"))?,
             pixel_format: pixel_format(m.pixel_format, PixelFormat::F16, &at("pixel_format"))?,
@@ -654,7 +674,19 @@ fn progress(view: &JobView) -> proto::JobProgress {
     let stage = &view.stage;
     let fraction = if stage.total == 0 { 0.0 } else { (stage.done as f64 / stage.total as f64).min(1.0) };
     let seconds_left = stage.seconds_left.filter(|_| !view.state.is_ended());
-    proto::JobProgress { stage: stage.name.clone(), done: stage.done, total: stage.total, fraction, seconds_left }
+    let fit = stage.fit.as_deref().map(fit_progress);
+    proto::JobProgress { stage: stage.name.clone(), done: stage.done, total: stage.total, fraction, seconds_left, fit }
+}
+
+fn fit_progress(FitSoFar { summary, partial_dataset }: &FitSoFar) -> proto::FitProgress {
+    proto::FitProgress {
+        texels: summary.texels,
+        texels_per_second: summary.texels_per_second,
+        histogram: summary.histogram.clone(),
+        flags: summary.flags.iter().map(|(name, count)| (name.to_string(), *count)).collect(),
+        median_residual: summary.median_residual,
+        partial_dataset: partial_dataset.clone().unwrap_or_default(),
+    }
 }
 
 fn result(outcome: &Outcome) -> proto::JobResult {
@@ -762,6 +794,34 @@ mod tests {
         assert!(refused(|t| t.metric = 7).starts_with("t.metric: 7"));
         assert!(refused(|t| t.windows = 5).starts_with("t.windows: 5"));
         assert!(refused(|t| t.codec = 9).starts_with("t.codec: 9"));
+    }
+
+    #[test]
+    fn a_fit_out_of_range_is_refused_by_field() {
+        let good = || proto::FitSpec { observations: "seen".into(), dataset: "map".into(), ..Default::default() };
+        let spec = fit(good(), "f").unwrap();
+        let settings = &spec.settings;
+        assert_eq!((settings.outliers, settings.precision, settings.max_bytes), (Outliers::Keep, Precision::Single, None));
+        assert_eq!((settings.models, settings.relative_noise, spec.partial), (AllowedModels::Auto, 0.01, None));
+        let asked = proto::FitSpec { reject_outliers: true, polish: true, max_bytes: 9, publish_every_seconds: 2.5, ..good() };
+        let spec = fit(asked, "f").unwrap();
+        let settings = &spec.settings;
+        assert_eq!((settings.outliers, settings.precision, settings.max_bytes), (Outliers::Reject, Precision::Polished, Some(9)));
+        assert_eq!(spec.partial, Some((Duration::from_millis(2500), "map-partial".into())));
+        let refused = |change: fn(&mut proto::FitSpec)| {
+            let mut message = good();
+            change(&mut message);
+            fit(message, "f").unwrap_err().to_string()
+        };
+        assert!(refused(|f| f.models = "phong:5".into()).starts_with("f.models: models are \"phong:5\""));
+        assert!(refused(|f| f.noise_floor = -1.0).starts_with("f.noise_floor: -1"));
+        assert!(refused(|f| f.relative_noise = Some(2.0)).starts_with("f.relative_noise: 2"));
+        assert!(refused(|f| f.publish_every_seconds = f32::NAN).starts_with("f.publish_every_seconds: NaN"));
+        assert!(refused(|f| f.publish_every_seconds = -1.0).starts_with("f.publish_every_seconds: -1"));
+        let long = refused(|f| (f.dataset, f.publish_every_seconds) = ("m".repeat(60), 1.0));
+        assert!(long.starts_with("f.publish_every_seconds") && long.contains("-partial"), "{long}");
+        let harmonics = refused(|f| (f.models, f.reject_outliers) = ("sh:16".into(), true));
+        assert!(harmonics.starts_with("f.reject_outliers") && harmonics.contains("phong:N"), "{harmonics}");
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! How to render and what to return.
 
 use glam::Vec3;
-use lumisphere::images::JpegQuality;
+use lumisphere::images::{Exposure, JpegQuality, ToneMap};
 use lumisphere::representations::offset_surface_light_field as oslf;
 use lumisphere::representations::{Settings, parameter_map};
 
@@ -17,6 +17,9 @@ const DEFAULT_DIRECTIONS: u32 = 64;
 /// Default N of the blends that have one.
 const DEFAULT_EXPONENT: f32 = 4.0;
 const DEFAULT_JPEG_QUALITY: u8 = 90;
+/// 2^stops, 2^−stops: what `Exposure` allows.
+const MAX_EXPOSURE_STOPS: f32 = 30.0;
+const MAX_EXPOSURE_GAMMA: f32 = 1000.0;
 
 /// What to compute and where.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -45,15 +48,15 @@ pub enum Encoding {
     RawZstd,
     /// 8-bit sRGB.
     Png {
-        /// Radiance is scaled by 2^stops.
-        exposure_stops: f32,
+        /// From radiance to the screen.
+        tone_map: ToneMap,
     },
     /// 8-bit sRGB.
     Jpeg {
         /// 1 to 100.
         quality: JpegQuality,
-        /// Radiance is scaled by 2^stops.
-        exposure_stops: f32,
+        /// From radiance to the screen.
+        tone_map: ToneMap,
     },
     /// f32 R G B.
     Exr,
@@ -181,7 +184,7 @@ fn blend(value: i32, exponent: f32, field: &str) -> Result<oslf::Blend, ApiError
 /// Checked output; `field` is its path.
 pub fn output(message: Option<proto::OutputSettings>, field: &str) -> Result<Output, ApiError> {
     let message = required(message, field)?;
-    let exposure_stops = within(message.exposure_stops, -30.0, 30.0, &format!("{field}.exposure_stops"))?;
+    let tone_map = tone_map(&message, field)?;
     let quality = match message.jpeg_quality {
         0 => Some(DEFAULT_JPEG_QUALITY),
         q => u8::try_from(q).ok(),
@@ -191,14 +194,28 @@ pub fn output(message: Option<proto::OutputSettings>, field: &str) -> Result<Out
         quality.ok_or_else(|| ApiError::field(format!("{field}.jpeg_quality"), format!("{}, 1 to 100 expected", message.jpeg_quality)))?;
     let encoding = match proto::Encoding::try_from(message.encoding) {
         Ok(proto::Encoding::RawZstd) => Encoding::RawZstd,
-        Ok(proto::Encoding::Png) => Encoding::Png { exposure_stops },
-        Ok(proto::Encoding::Jpeg) => Encoding::Jpeg { quality, exposure_stops },
+        Ok(proto::Encoding::Png) => Encoding::Png { tone_map },
+        Ok(proto::Encoding::Jpeg) => Encoding::Jpeg { quality, tone_map },
         Ok(proto::Encoding::Exr) => Encoding::Exr,
         Ok(proto::Encoding::Unspecified) | Err(_) => {
             return Err(ApiError::field(format!("{field}.encoding"), format!("{}, RAW_ZSTD, PNG, JPEG or EXR expected", message.encoding)));
         }
     };
     Ok(Output { encoding, depth: message.want_depth, provenance: message.want_provenance })
+}
+
+/// Clipped at white, or with γ never.
+fn tone_map(message: &proto::OutputSettings, field: &str) -> Result<ToneMap, ApiError> {
+    let stops = within(message.exposure_stops, -MAX_EXPOSURE_STOPS, MAX_EXPOSURE_STOPS, &format!("{field}.exposure_stops"))?;
+    let gamma = within(message.exposure_gamma, 0.0, MAX_EXPOSURE_GAMMA, &format!("{field}.exposure_gamma"))?;
+    if gamma == 0.0 {
+        return Ok(ToneMap::Clamp(Exposure::new(stops.exp2()).expect("stops were checked")));
+    }
+    let exposure = Exposure::new(gamma * stops.exp2()).ok_or_else(|| {
+        let problem = format!("{gamma} · 2^{stops}, a product of 2^−{MAX_EXPOSURE_STOPS} to 2^{MAX_EXPOSURE_STOPS} expected");
+        ApiError::field(format!("{field}.exposure_gamma"), problem)
+    });
+    exposure.map(ToneMap::Exponential)
 }
 
 /// On the wire.
@@ -269,11 +286,29 @@ mod tests {
         let with = |encoding, jpeg_quality, exposure_stops| {
             output(Some(proto::OutputSettings { encoding, jpeg_quality, exposure_stops, ..Default::default() }), "o")
         };
-        assert!(matches!(with(3, 0, 1.0).unwrap().encoding, Encoding::Jpeg { exposure_stops: 1.0, .. }));
+        let twice = ToneMap::Clamp(Exposure::new(2.0).unwrap());
+        assert!(matches!(with(3, 0, 1.0).unwrap().encoding, Encoding::Jpeg { tone_map, .. } if tone_map == twice));
         assert!(with(0, 0, 0.0).unwrap_err().to_string().starts_with("o.encoding: 0"));
         assert!(with(5, 0, 0.0).unwrap_err().to_string().starts_with("o.encoding: 5"));
         assert!(with(3, 101, 0.0).unwrap_err().to_string().starts_with("o.jpeg_quality: 101"));
         assert!(with(3, 300, 0.0).unwrap_err().to_string().starts_with("o.jpeg_quality: 300"));
         assert!(with(2, 0, f32::NAN).unwrap_err().to_string().starts_with("o.exposure_stops: NaN"));
+    }
+
+    #[test]
+    fn a_gamma_compresses_instead_of_clipping_and_nonsense_is_refused() {
+        let with = |exposure_gamma, exposure_stops| {
+            output(Some(proto::OutputSettings { encoding: 2, exposure_gamma, exposure_stops, ..Default::default() }), "o")
+        };
+        let exponential = |factor| Encoding::Png { tone_map: ToneMap::Exponential(Exposure::new(factor).unwrap()) };
+        assert_eq!(with(1.5, 2.0).unwrap().encoding, exponential(6.0));
+        assert_eq!(with(0.0, 2.0).unwrap().encoding, Encoding::Png { tone_map: ToneMap::Clamp(Exposure::new(4.0).unwrap()) });
+        for bad in [f32::NAN, f32::INFINITY, -1.0, 1001.0] {
+            assert!(with(bad, 0.0).unwrap_err().to_string().starts_with("o.exposure_gamma: "), "{bad}");
+        }
+        // Each fits, their product does not.
+        let error = with(1000.0, 30.0).unwrap_err().to_string();
+        assert_eq!(error, "o.exposure_gamma: 1000 · 2^30, a product of 2^−30 to 2^30 expected");
+        assert!(with(1e-20, 0.0).unwrap_err().to_string().starts_with("o.exposure_gamma: "));
     }
 }

@@ -1,26 +1,36 @@
 //! Observation map to parameter map.
 
-use std::collections::BTreeMap;
+use std::sync::{Mutex, PoisonError};
+use std::time::Instant;
 
+use lumisphere::progress::Progress;
 use lumisphere::representations::Kind;
-use lumisphere::representations::parameter_map::construct;
-use lumisphere::textures::{ContentHash, Publication, Staging};
+use lumisphere::representations::parameter_map::{FitError, FitSource, FitSummary, FollowFit, Parameters, PartialMap, construct};
+use lumisphere::textures::{Manifest, Publication, Staging, StoreError};
 
 use super::Work;
-use crate::errors::ApiError;
+use crate::errors::{ApiError, Reason};
 use crate::jobs::record::now_millis;
-use crate::jobs::{Attempt, Outcome};
+use crate::jobs::{Attempt, FitSoFar, Outcome};
 use crate::wire::datasets::ORIGIN;
 use crate::wire::jobs::FitSpec;
 
 const KIND: Kind = Kind::ParameterMap;
 /// What came of the fits: a part of the version.
 const REPORT: &str = "fit.json";
+/// A report takes no more: thirty counts and a dozen numbers.
+const REPORT_BYTES: u64 = 2048;
 
 impl Work {
     pub(super) fn fit(&self, spec: &FitSpec, attempt: &Attempt) -> Result<Outcome, ApiError> {
         let fill = |staging: &Staging| self.fill_fitted(spec, staging, attempt);
-        let version = self.publish_once(&spec.dataset, KIND.name(), attempt, fill)?;
+        let published = self.publish_once(&spec.dataset, KIND.name(), attempt, fill);
+        // A fit that the server's end interrupts goes on: what was shown of it stays.
+        let goes_on = attempt.is_cancelled() && !attempt.is_cancel_asked() && published.is_err();
+        if let Some((_, dataset)) = spec.partial.as_ref().filter(|_| !goes_on) {
+            self.remove_partial(dataset, attempt);
+        }
+        let version = published?;
         let outcome = self.published(&spec.dataset, version)?;
         let mut summary: serde_json::Value = serde_json::from_str(&outcome.summary_json).map_err(ApiError::internal)?;
         let report = self.catalog.store().open_version(&spec.dataset, Some(version))?.blob(REPORT)?;
@@ -32,19 +42,128 @@ impl Work {
         let (map, pages) = self.catalog.open_observations(&spec.observations, spec.version)?;
         let manifest = pages.manifest();
         let name = format!("{} version {}", manifest.dataset, manifest.version);
-        let read = |page| pages.read_page(page).map(std::sync::Arc::new);
-        let (parameters, report) = construct(&map, &read, &name, &spec.settings, staging, attempt)?;
-        if let Some(origin) = manifest.blobs.contains_key(ORIGIN).then(|| pages.blob(ORIGIN)).transpose()? {
-            staging.put_blob(ORIGIN, &origin)?;
+        let origin = manifest.blobs.contains_key(ORIGIN).then(|| pages.blob(ORIGIN)).transpose()?;
+        if let Some((_, dataset)) = &spec.partial {
+            self.check_partial(dataset, attempt)?;
         }
-        staging.put_blob(REPORT, &serde_json::to_vec(&report).map_err(ApiError::internal)?)?;
-        let inputs: BTreeMap<String, ContentHash> = manifest.inputs.clone();
-        Ok(Publication {
-            kind: KIND.name().into(),
-            parameters: serde_json::to_value(parameters).map_err(ApiError::internal)?,
-            inputs,
-            code_version: env!("CARGO_PKG_VERSION").into(),
-            created_unix_millis: now_millis(),
-        })
+        let read = |page| pages.read_page(page).map(std::sync::Arc::new);
+        let beside_bytes = REPORT_BYTES + origin.as_ref().map_or(0, |origin| origin.len() as u64);
+        let source = FitSource { map: &map, read: &read, name: &name, beside_bytes };
+        let follower =
+            Follower { work: self, spec, attempt, observed: manifest, origin: origin.as_deref(), shown: Mutex::new(Instant::now()) };
+        let (parameters, report) = construct(&source, &spec.settings, staging, &follower)?;
+        if let Some(origin) = &origin {
+            staging.put_blob(ORIGIN, origin)?;
+        }
+        let report = serde_json::to_vec(&report).map_err(ApiError::internal)?;
+        if report.len() as u64 > REPORT_BYTES {
+            return Err(ApiError::internal(format!("a report of {} bytes, {REPORT_BYTES} were counted for it", report.len())));
+        }
+        staging.put_blob(REPORT, &report)?;
+        publication(&parameters, manifest)
+    }
+
+    // A dataset of that name may only be what an earlier attempt has shown.
+    fn check_partial(&self, dataset: &str, attempt: &Attempt) -> Result<(), ApiError> {
+        match self.catalog.store().manifest(dataset, None) {
+            Err(StoreError::NotFound { .. }) => Ok(()),
+            Ok(manifest) if is_shown_by(&manifest, attempt) => Ok(()),
+            Ok(_) | Err(_) => {
+                let message = format!("dataset {dataset} holds something else: delete it, or fit into a dataset of another name");
+                Err(ApiError::new(Reason::DatasetKindMismatch, message))
+            }
+        }
+    }
+
+    fn remove_partial(&self, dataset: &str, attempt: &Attempt) {
+        // An empty one is left: whose it is does not show, and a fit takes it.
+        let is_ours = self.catalog.store().manifest(dataset, None).is_ok_and(|manifest| is_shown_by(&manifest, attempt));
+        if is_ours && let Err(error) = self.catalog.delete(dataset) {
+            tracing::warn!(%error, dataset, "cannot delete the partial map of a fit that has ended");
+        }
+    }
+}
+
+fn is_shown_by(manifest: &Manifest, attempt: &Attempt) -> bool {
+    manifest.token.starts_with(&partial_token(attempt))
+}
+
+// Of all partial maps of a job; a number follows.
+fn partial_token(attempt: &Attempt) -> String {
+    format!("{}-partial-", attempt.token())
+}
+
+fn publication(parameters: &Parameters, observed: &Manifest) -> Result<Publication, ApiError> {
+    Ok(Publication {
+        kind: KIND.name().into(),
+        parameters: serde_json::to_value(parameters).map_err(ApiError::internal)?,
+        inputs: observed.inputs.clone(),
+        code_version: env!("CARGO_PKG_VERSION").into(),
+        created_unix_millis: now_millis(),
+    })
+}
+
+/// Tells the job's watchers of its fit, and publishes what there is of it now and then.
+struct Follower<'a> {
+    work: &'a Work,
+    spec: &'a FitSpec,
+    attempt: &'a Attempt,
+    observed: &'a Manifest,
+    origin: Option<&'a [u8]>,
+    /// When something was published last.
+    shown: Mutex<Instant>,
+}
+
+impl Progress for Follower<'_> {
+    fn report(&self, what: &str, done: u64, total: u64) {
+        self.attempt.report(what, done, total);
+    }
+
+    fn is_cancelled(&self) -> bool {
+        self.attempt.is_cancelled()
+    }
+}
+
+impl FollowFit for Follower<'_> {
+    fn fitted(&self, so_far: &FitSummary) {
+        let is_shown = |dataset: &&String| self.work.catalog.store().manifest(dataset, None).is_ok();
+        let partial_dataset = self.spec.partial.as_ref().map(|(_, dataset)| dataset).filter(is_shown).cloned();
+        self.attempt.tell_fit(FitSoFar { summary: so_far.clone(), partial_dataset });
+    }
+
+    fn offer(&self, partial: &PartialMap<'_>) -> Result<(), FitError> {
+        let Some((every, dataset)) = &self.spec.partial else { return Ok(()) };
+        let mut shown = self.shown.lock().unwrap_or_else(PoisonError::into_inner);
+        if shown.elapsed() < *every {
+            return Ok(());
+        }
+        // The fit does not depend on it.
+        if let Err(error) = self.publish(dataset, partial) {
+            tracing::warn!(%error, dataset, "cannot publish what is fitted so far");
+        }
+        *shown = Instant::now();
+        Ok(())
+    }
+}
+
+impl Follower<'_> {
+    fn publish(&self, dataset: &str, partial: &PartialMap<'_>) -> Result<(), ApiError> {
+        let store = self.work.catalog.store();
+        self.work.check_partial(dataset, self.attempt)?;
+        match store.create_dataset(dataset) {
+            Ok(()) | Err(StoreError::AlreadyExists { .. }) => {}
+            Err(error) => return Err(error.into()),
+        }
+        let number = store.versions(dataset)?.last().map_or(1, |newest| newest + 1);
+        let token = format!("{}{number}", partial_token(self.attempt));
+        // What a killed server left of the same number is older.
+        store.stage(dataset, &token)?.abandon()?;
+        let staging = store.stage(dataset, &token)?;
+        let parameters = partial.store(&staging)?;
+        if let Some(origin) = self.origin {
+            staging.put_blob(ORIGIN, origin)?;
+        }
+        staging.publish(publication(&parameters, self.observed)?)?;
+        Ok(store.delete_older_versions(dataset)?)
     }
 }

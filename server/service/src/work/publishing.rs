@@ -27,8 +27,10 @@ impl Work {
                 Ok(staging.publish(publication)?.manifest().version)
             }
             Err(error) => {
-                if attempt.is_cancel_asked() {
-                    staging.abandon()?;
+                // A job that the server's end interrupts goes on from there; any other will not run again.
+                let goes_on = error.reason() == Reason::JobCancelled && !attempt.is_cancel_asked();
+                if !goes_on && let Err(error) = staging.abandon() {
+                    tracing::warn!(%error, dataset, "cannot throw away what an ended job has staged");
                 }
                 Err(error)
             }

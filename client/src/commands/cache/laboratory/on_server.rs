@@ -51,7 +51,13 @@ pub async fn replay(
     let mut outcomes = context.connect().await?.cache().replay_trace(request).await?.into_inner();
     let mut meter = Meter::new(context.output);
     while let Some(outcome) = outcomes.message().await? {
-        meter.update(Progress { stage: "replaying", done: outcome.done.into(), total: outcome.total.into(), seconds_left: None });
+        meter.update(Progress {
+            stage: "replaying",
+            done: outcome.done.into(),
+            total: outcome.total.into(),
+            seconds_left: None,
+            detail: "",
+        });
         tell(&outcome);
     }
     meter.finish();

@@ -1,0 +1,288 @@
+//! How large the frames of a moving viewer are: as large as comes at the rate that the viewer asked for. `session` reports what frames took
+//! and asks for the size of the next; nothing here looks at a clock.
+//!
+//! Sizes are rungs of a ladder, full size · 2^(−rung/4) in each direction down to an eighth. A frame is taken to cost its wait for the
+//! renderer, which its size does not change, and rendering and encoding, or the link's time if that is longer, in proportion to its pixels.
+//! What does not shrink with the frame makes that promise too long for larger frames, never too short: so one climbs carefully and does not
+//! fall back. Between the two bounds (0.8 and 1 of the interval) a size stays.
+
+use lumisphere::geometry::{Camera, Intrinsics};
+
+/// The smallest: 2^(−12/4), an eighth.
+pub const LAST_RUNG: u32 = 12;
+const RUNGS_PER_OCTAVE: f32 = 4.0;
+/// Weight of the newest measurement in the running mean: two thirds of it are the last four.
+const NEWEST: f32 = 0.25;
+/// The next larger size is taken when it promises to need no more than this part of the interval.
+const CAREFUL: f32 = 0.8;
+/// A frame whose rendering is a smaller part of its wait gains nothing from being smaller.
+const WORTH: f32 = 1.0 / 16.0;
+
+/// What a frame took in the server, seconds.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Took {
+    /// Until its turn came; None where that says nothing of other frames.
+    pub waiting: Option<f32>,
+    /// Pages, rendering and encoding.
+    pub own: f32,
+}
+
+/// The controller.
+#[derive(Debug, Clone)]
+pub struct Pace {
+    /// Between two frames, seconds.
+    interval: f32,
+    rung: u32,
+    /// Of a frame of this rung, seconds.
+    waiting: Mean,
+    own: Mean,
+    link: Mean,
+}
+
+/// Of the recent measurements; None before the first.
+#[derive(Debug, Clone, Copy, Default)]
+struct Mean(Option<f32>);
+
+impl Pace {
+    /// At full size, knowing nothing. `frames_per_second` is positive.
+    pub fn new(frames_per_second: f32) -> Self {
+        Self { interval: 1.0 / frames_per_second, rung: 0, waiting: Mean::default(), own: Mean::default(), link: Mean::default() }
+    }
+
+    /// Of the next frame while the viewer moves.
+    pub fn rung(&self) -> u32 {
+        self.rung
+    }
+
+    /// A frame with this share of the full size's pixels was rendered and encoded.
+    pub fn drawn(&mut self, share: f32, took: Took) {
+        if let Some(waiting) = took.waiting {
+            self.waiting.take(waiting);
+        }
+        self.own.take(took.own * self.relative(share));
+        self.decide();
+    }
+
+    /// Frames with this share of the full size's pixels, all together, took the link so many seconds.
+    pub fn arrived(&mut self, share: f32, seconds: f32) {
+        self.link.take(seconds * self.relative(share));
+        self.decide();
+    }
+
+    /// The link is another one.
+    pub fn forget_link(&mut self) {
+        self.link = Mean::default();
+    }
+
+    /// From pixels of a share to pixels of this rung.
+    fn relative(&self, share: f32) -> f32 {
+        share_of(self.rung) / share.max(share_of(LAST_RUNG))
+    }
+
+    fn decide(&mut self) {
+        let before = self.rung;
+        if self.promised(self.rung) > self.interval {
+            while self.rung < LAST_RUNG && self.promised(self.rung) > self.interval && self.is_worth_shrinking() {
+                self.step(self.rung + 1);
+            }
+        } else if before > 0 && self.promised(before - 1) <= CAREFUL * self.interval {
+            self.step(before - 1);
+        }
+    }
+
+    /// Seconds of a frame of the rung.
+    fn promised(&self, rung: u32) -> f32 {
+        let pixels = share_of(rung) / share_of(self.rung);
+        (self.waiting.value() + self.own.value() * pixels).max(self.link.value() * pixels)
+    }
+
+    fn is_worth_shrinking(&self) -> bool {
+        self.own.value() >= WORTH * self.waiting.value() || self.link.value() > self.interval
+    }
+
+    fn step(&mut self, rung: u32) {
+        let pixels = share_of(rung) / share_of(self.rung);
+        self.rung = rung;
+        self.own.scale(pixels);
+        self.link.scale(pixels);
+    }
+}
+
+impl Mean {
+    fn take(&mut self, value: f32) {
+        self.0 = Some(self.0.map_or(value, |mean| mean + NEWEST * (value - mean)));
+    }
+
+    fn scale(&mut self, factor: f32) {
+        self.0 = self.0.map(|mean| mean * factor);
+    }
+
+    fn value(self) -> f32 {
+        self.0.unwrap_or(0.0)
+    }
+}
+
+/// Of the full size's pixels.
+pub fn share_of(rung: u32) -> f32 {
+    (-2.0 * rung as f32 / RUNGS_PER_OCTAVE).exp2()
+}
+
+/// The same view with fewer pixels, rounded to whole ones; at least one each way. The camera itself on rung 0.
+pub fn smaller(camera: &Camera, rung: u32) -> Camera {
+    let full = *camera.intrinsics();
+    let factor = (-(rung as f32) / RUNGS_PER_OCTAVE).exp2();
+    let scaled = |pixels: u32| ((pixels as f32 * factor).round() as u32).clamp(1, pixels);
+    let (width_px, height_px) = (scaled(full.width_px), scaled(full.height_px));
+    // What is left of each side, exactly: the edges of the picture stay where they are.
+    let left = glam::Vec2::new(width_px as f32 / full.width_px as f32, height_px as f32 / full.height_px as f32);
+    let intrinsics = Intrinsics { width_px, height_px, focal_px: full.focal_px * left, center_px: full.center_px * left };
+    // Beyond the range of f32 there is no smaller camera.
+    Camera::new(intrinsics, *camera.pose()).unwrap_or(*camera)
+}
+
+/// Of the full camera's pixels.
+pub fn share(drawn: &Camera, full: &Camera) -> f32 {
+    let pixels = |camera: &Camera| camera.intrinsics().width_px as f32 * camera.intrinsics().height_px as f32;
+    pixels(drawn) / pixels(full)
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::{Vec2, Vec3};
+    use lumisphere::geometry::Pose;
+    use proptest::prelude::*;
+
+    use super::*;
+
+    /// What frames of a machine cost: `fixed` + `per_size` · share, after `waiting`; `link` · share on the way.
+    #[derive(Debug, Clone, Copy)]
+    struct Machine {
+        waiting: f32,
+        fixed: f32,
+        per_size: f32,
+        link: f32,
+    }
+
+    impl Machine {
+        fn own(&self, rung: u32) -> f32 {
+            self.fixed + self.per_size * share_of(rung)
+        }
+
+        fn seconds(&self, rung: u32) -> f32 {
+            (self.waiting + self.own(rung)).max(self.link * share_of(rung))
+        }
+
+        /// The rungs of so many frames.
+        fn frames(&self, pace: &mut Pace, count: usize) -> Vec<u32> {
+            let frame = |_| {
+                let rung = pace.rung();
+                pace.drawn(share_of(rung), Took { waiting: Some(self.waiting), own: self.own(rung) });
+                pace.arrived(share_of(rung), self.link * share_of(rung));
+                rung
+            };
+            (0..count).map(frame).collect()
+        }
+    }
+
+    fn machines() -> impl Strategy<Value = Machine> {
+        let seconds = || prop_oneof![Just(0.0_f32), (-12.0_f32..2.0).prop_map(f32::exp2)];
+        (seconds(), seconds(), seconds(), seconds()).prop_map(|(waiting, fixed, per_size, link)| Machine { waiting, fixed, per_size, link })
+    }
+
+    /// A size that is settled. Each rung down takes the promise of a cost that does not shrink down by 0.7, and the mean needs up to
+    /// ln(2^-24 / 0.3) / ln 0.75 = 54 frames to notice the last bit of it; there are twelve rungs.
+    const LONG: usize = 700;
+
+    proptest! {
+        #[test]
+        fn a_steady_machine_gets_a_steady_size(machine in machines(), fps in 1.0_f32..240.0) {
+            let mut pace = Pace::new(fps);
+            machine.frames(&mut pace, LONG);
+            let rungs = machine.frames(&mut pace, LONG);
+            prop_assert!(rungs.iter().all(|r| *r == rungs[0]), "{rungs:?}");
+        }
+
+        /// The bounds have a part in a thousand for means that are not quite there.
+        #[test]
+        fn the_size_keeps_the_rate_where_any_does_and_is_not_smaller_than_it_asks(machine in machines(), fps in 1.0_f32..240.0) {
+            let mut pace = Pace::new(fps);
+            let rung = *machine.frames(&mut pace, LONG).last().unwrap();
+            let interval = 1.0 / fps;
+            if rung < LAST_RUNG {
+                let in_time = machine.seconds(rung) <= 1.001 * interval;
+                let pointless = machine.own(rung) <= 1.001 * WORTH * machine.waiting && machine.link * share_of(rung) <= 1.001 * interval;
+                prop_assert!(in_time || pointless, "{} s on rung {rung}", machine.seconds(rung));
+            }
+            if rung > 0 {
+                let larger = share_of(rung - 1) / share_of(rung);
+                let promise = (machine.waiting + machine.own(rung) * larger).max(machine.link * share_of(rung) * larger);
+                prop_assert!(promise > 0.999 * CAREFUL * interval, "{promise} s promised one rung above {rung}");
+            }
+        }
+
+        #[test]
+        fn what_is_proportional_to_pixels_has_its_closed_form(per_size in 0.0001_f32..10.0, fps in 1.0_f32..240.0) {
+            let machine = Machine { waiting: 0.0, fixed: 0.0, per_size, link: 0.0 };
+            let mut pace = Pace::new(fps);
+            let rung = machine.frames(&mut pace, 3)[2];
+            // The first frame tells all: the largest size in time.
+            let rungs = 2.0 * (per_size * fps).log2();
+            let exact = rungs.ceil().clamp(0.0, LAST_RUNG as f32);
+            // On a rung's edge rounding decides.
+            let is_edge = (rungs - rungs.round()).abs() < 1e-3;
+            prop_assert!(rung as f32 == exact || is_edge && (rung as f32 - exact).abs() <= 1.0, "{rung}, not {exact}");
+        }
+
+        #[test]
+        fn a_smaller_camera_sees_the_same(
+            (width, height) in (1_u32..5000, 1_u32..5000),
+            rung in 0..=LAST_RUNG,
+            (x, y) in (0.0_f32..1.0, 0.0_f32..1.0),
+        ) {
+            let pose = Pose::look_at(Vec3::new(1.0, 2.0, 3.0), Vec3::ZERO, Vec3::Y).unwrap();
+            let intrinsics = Intrinsics {
+                width_px: width,
+                height_px: height,
+                focal_px: Vec2::new(0.9 * width as f32, 1.1 * height as f32),
+                center_px: Vec2::new(0.4 * width as f32, 0.6 * height as f32),
+            };
+            let full = Camera::new(intrinsics, pose).unwrap();
+            let drawn = smaller(&full, rung);
+            let size = |c: &Camera| Vec2::new(c.intrinsics().width_px as f32, c.intrinsics().height_px as f32);
+            // The same place of both pictures is the same ray, to the rounding of f32.
+            let at = Vec2::new(x, y);
+            let (a, b) = (full.ray(at * size(&full)), drawn.ray(at * size(&drawn)));
+            prop_assert!(a.direction.distance(b.direction) < 1e-5, "{a:?} {b:?}");
+            let exact = size(&full) * 2.0_f32.powf(-(rung as f32) / 4.0);
+            prop_assert!((size(&drawn) - exact.max(Vec2::ONE)).abs().max_element() <= 0.51);
+            prop_assert_eq!(drawn == full, rung == 0 || (width, height) == (1, 1) || size(&drawn) == size(&full));
+        }
+    }
+
+    #[test]
+    fn load_shrinks_at_once_and_relief_grows_by_rungs() {
+        let mut pace = Pace::new(30.0);
+        let fast = Machine { waiting: 0.0, fixed: 0.001, per_size: 0.01, link: 0.0 };
+        assert_eq!(fast.frames(&mut pace, 20), [0; 20]);
+        // Eight times as long as the interval: three octaves of pixels, six rungs, as soon as the mean has noticed.
+        let slow = Machine { per_size: 8.0 / 30.0, fixed: 0.0, ..fast };
+        let rungs = slow.frames(&mut pace, 40);
+        assert!(rungs[1] >= 2 && (6..=7).contains(rungs.last().unwrap()), "{rungs:?}");
+        let rungs = fast.frames(&mut pace, 60);
+        assert!(rungs.windows(2).all(|w| w[1] <= w[0] && w[0] - w[1] <= 1) && *rungs.last().unwrap() == 0, "{rungs:?}");
+    }
+
+    #[test]
+    fn a_wait_for_others_does_not_shrink_what_is_small_beside_it() {
+        let mut pace = Pace::new(30.0);
+        let behind = Machine { waiting: 1.0, fixed: 0.0, per_size: 0.02, link: 0.0 };
+        assert_eq!(behind.frames(&mut pace, 50), [0; 50]);
+        // A wait that says nothing is not counted.
+        let mut pace = Pace::new(30.0);
+        pace.drawn(1.0, Took { waiting: None, own: 0.03 });
+        pace.drawn(1.0, Took { waiting: Some(0.001), own: 0.03 });
+        assert_eq!(pace.rung(), 0);
+        let slow_link = Machine { link: 4.0 / 30.0, ..behind };
+        assert!((4..=5).contains(slow_link.frames(&mut pace, 50).last().unwrap()));
+    }
+}

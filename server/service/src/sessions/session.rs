@@ -1,0 +1,440 @@
+//! One viewer, however its messages travel. A watch value holds what it wants to see: messages change it, and [`Session::show`] renders it
+//! whenever there is something new and a credit. A pose that is overtaken before the render thread takes it up is never rendered. While there
+//! is nothing to draw, pages are brought that a moving viewer's next frame will want.
+//!
+//! A viewer that asked for a rate is *moving* while poses or settings keep coming: its frames are as large as `pace` says. Once nothing new
+//! has come for a moment it is *still*, and is shown the full size; a new pose drops that frame where its rendering has not begun.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use lumisphere::geometry::Camera;
+use lumisphere::render::Refine;
+use tokio::sync::{OwnedSemaphorePermit, watch};
+use tokio::time::Instant;
+use tokio_util::sync::CancellationToken;
+
+use super::link::Link;
+use super::pace::{Pace, Took, share, smaller};
+use super::{Outbox, Stage, response, status};
+use crate::api::blocking;
+use crate::catalog::OpenedVersion;
+use crate::config::BackendChoice;
+use crate::errors::{ApiError, Reason};
+use crate::frames::FrameOrder;
+use crate::prefetch::{Expected, Motion};
+use crate::render_queue::Priority;
+use crate::wire::frames::FrameIdentity;
+use crate::wire::settings::{Output, RenderSettings, check_kind, output, render_settings};
+use crate::wire::{self, proto};
+use proto::interact_response::Message as Down;
+
+const DEFAULT_CREDITS: u32 = 2;
+const MAX_CREDITS: u32 = 16;
+/// A wish that found the render queue full tries again after this time.
+const QUEUE_RETRY: Duration = Duration::from_millis(20);
+/// Frames per second that a moving viewer may ask for.
+const MOVING_RATES: (f32, f32) = (1.0, 240.0);
+/// A viewer is still when so many frames' time has passed without anything new, within these bounds: a hand that pauses is not at rest.
+const SETTLING_FRAMES: f32 = 5.0;
+const SETTLING_SECONDS: (f32, f32) = (0.05, 0.25);
+
+/// A viewer's open interaction.
+pub struct Session {
+    stage: Arc<Stage>,
+    version: Arc<OpenedVersion>,
+    credits: u64,
+    wish: watch::Sender<Wish>,
+    /// Frames that were sent, of all streams.
+    sent: AtomicU64,
+    /// None for a viewer that is always shown the full size.
+    moving: Option<Arc<Moving>>,
+    _room: OwnedSemaphorePermit,
+}
+
+/// Of a viewer that asked for a rate while it moves.
+struct Moving {
+    settling: Duration,
+    measured: Mutex<Measured>,
+}
+
+struct Measured {
+    pace: Pace,
+    link: Link,
+}
+
+/// What the viewer has not seen yet of the wish that was shown last.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Owed {
+    Nothing,
+    /// Coarse pages stood in for others: a better frame at once.
+    Better,
+    /// A frame of full size, if nothing new comes before.
+    FullSize(Instant),
+}
+
+/// A wish and how it is drawn.
+struct Turn {
+    wish: Wish,
+    pose_id: u64,
+    /// As the viewer gave it.
+    full: Camera,
+    /// The same or a smaller one.
+    drawn: Camera,
+}
+
+/// Why nothing is shown any more.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ShowEnded {
+    /// The client has left, or has seen its last pose.
+    Left,
+    /// It left a frame unread or unacknowledged for too long.
+    Mute,
+}
+
+/// What one message or call says.
+pub struct Update {
+    /// Of two poses, or settings, the one with the higher number stands; of equal ones the one that came later.
+    pub sequence: u64,
+    /// A new pose.
+    pub pose: Option<proto::PoseUpdate>,
+    /// Other settings.
+    pub settings: Option<proto::SettingsUpdate>,
+    /// Credits back.
+    pub acknowledge: Option<proto::FrameAcknowledgement>,
+}
+
+/// What the viewer wants to see, as of the last message.
+#[derive(Clone)]
+struct Wish {
+    pose: Option<(u64, Camera)>,
+    settings: RenderSettings,
+    output: Output,
+    /// Of the updates that these came with.
+    sequences: Sequences,
+    /// Increases with every change that needs a new frame.
+    revision: u64,
+    /// When it last did.
+    changed: Instant,
+    /// Poses received.
+    poses: u64,
+    /// All frames up to this one have arrived.
+    acknowledged: u64,
+}
+
+#[derive(Debug, Clone, Copy, Default)]
+struct Sequences {
+    pose: u64,
+    settings: u64,
+    output: u64,
+}
+
+/// An update that was checked.
+struct Change {
+    sequence: u64,
+    pose: Option<(u64, Camera)>,
+    settings: Option<RenderSettings>,
+    output: Option<Output>,
+    acknowledged: u64,
+}
+
+impl Session {
+    /// As the opening message says; it is checked in whole.
+    pub async fn open(stage: Arc<Stage>, open: proto::OpenInteraction, room: OwnedSemaphorePermit) -> Result<Self, ApiError> {
+        let settings = render_settings(open.settings, "open.settings")?;
+        let output = output(open.output, "open.output")?;
+        let credits = wire::count(open.credits, DEFAULT_CREDITS, 1, MAX_CREDITS, "open.credits")?;
+        let moving = Moving::at(open.moving_frames_per_second, "open.moving_frames_per_second")?;
+        let dataset = wire::dataset_name(&open.dataset, "open.dataset")?;
+        let catalog = stage.catalog.clone();
+        let version = blocking(move || catalog.open_version(&dataset, open.version)).await?;
+        check_kind(&settings.settings, version.representation.kind().name())?;
+        let sequences = Sequences::default();
+        let wish = Wish { pose: None, settings, output, sequences, revision: 0, changed: Instant::now(), poses: 0, acknowledged: 0 };
+        let wish = watch::Sender::new(wish);
+        Ok(Self { stage, version, credits: credits.into(), wish, sent: AtomicU64::new(0), moving, _room: room })
+    }
+
+    /// What was opened. `expiry`: without a stream; zero for a session that ends with its stream.
+    pub fn opened(&self, expiry: Duration) -> proto::InteractionOpened {
+        let expires_after_seconds = u32::try_from(expiry.as_secs()).unwrap_or(u32::MAX);
+        let credits = u32::try_from(self.credits).unwrap_or(MAX_CREDITS);
+        proto::InteractionOpened { dataset_version: self.version.version, credits, expires_after_seconds }
+    }
+
+    /// Of the server.
+    pub fn stage(&self) -> &Stage {
+        &self.stage
+    }
+
+    /// All that the update says, or nothing and an error.
+    pub fn take(&self, update: Update) -> Result<(), ApiError> {
+        let change = self.check(update)?;
+        let overtaken = change.pose.is_some_and(|_| change.sequence < self.wish.borrow().sequences.pose);
+        self.stage.metrics.poses_overtaken.inc_by(overtaken.into());
+        if let Some(moving) = &self.moving {
+            moving.measured().acknowledged(change.acknowledged);
+        }
+        self.wish.send_modify(|wish| wish.apply(change));
+        Ok(())
+    }
+
+    fn check(&self, update: Update) -> Result<Change, ApiError> {
+        let Update { sequence, pose, settings, acknowledge } = update;
+        let camera = |m: proto::PoseUpdate| {
+            let camera = wire::camera::camera(m.camera, self.stage.max_pixels_per_frame, "pose.camera")?;
+            Ok::<_, ApiError>((m.pose_id, camera))
+        };
+        let pose = pose.map(camera).transpose()?;
+        let proto::SettingsUpdate { settings, output: output_settings } = settings.unwrap_or_default();
+        let settings = settings.map(|s| render_settings(Some(s), "settings.settings")).transpose()?;
+        let output = output_settings.map(|o| output(Some(o), "settings.output")).transpose()?;
+        if let Some(settings) = &settings {
+            check_kind(&settings.settings, self.version.representation.kind().name())?;
+        }
+        let acknowledged = acknowledge.map_or(0, |a| a.frame_id);
+        let sent = self.sent.load(Ordering::SeqCst);
+        if acknowledged > sent {
+            return Err(ApiError::field("acknowledge.frame_id", format!("{acknowledged}, but only {sent} frames were sent")));
+        }
+        Ok(Change { sequence, pose, settings, output, acknowledged })
+    }
+
+    /// For a new stream: what was on its way in the old one has arrived or never will.
+    pub fn forget_frames_on_their_way(&self) {
+        let sent = self.sent.load(Ordering::SeqCst);
+        self.wish.send_modify(|wish| wish.acknowledged = sent);
+        if let Some(moving) = &self.moving {
+            moving.measured().forget_link();
+        }
+    }
+
+    /// Renders the wish whenever it is new and there is a credit, until the client has left or, once `last` is cancelled, the last wish is
+    /// shown. The wish of the beginning counts as new. One caller at a time.
+    pub async fn show(&self, down: &Outbox, last: &CancellationToken) -> ShowEnded {
+        let mut wishes = self.wish.subscribe();
+        // What an earlier stream showed is shown again.
+        let (mut shown, mut owed, mut poses_shown) = (0, Owed::Nothing, self.wish.borrow().poses.saturating_sub(1));
+        let (mut motion, mut expected) = (Motion::default(), None);
+        let mut sent_at = Instant::now();
+        loop {
+            let sent = self.sent.load(Ordering::SeqCst);
+            let is_new = |wish: &Wish| wish.pose.is_some() && wish.revision > shown && sent - wish.acknowledged < self.credits;
+            tokio::select! {
+                biased;
+                wish = wishes.wait_for(is_new) => if wish.is_err() { return ShowEnded::Left },
+                () = self.until_due(owed, sent, last) => {}
+                () = last.cancelled() => return ShowEnded::Left,
+                () = self.until_mute(sent, sent_at) => return ShowEnded::Mute,
+                // Dropped as soon as there is something to draw.
+                () = self.prefetch(&mut expected) => {}
+            }
+            // Room in the outbox first: what is rendered can then be sent.
+            let slot = match tokio::time::timeout(self.stage.mute_patience, down.reserve()).await {
+                Ok(Ok(slot)) => slot,
+                Ok(Err(_)) => return ShowEnded::Left,
+                Err(_) => return ShowEnded::Mute,
+            };
+            let asked = wishes.borrow_and_update().clone();
+            let Some((pose_id, _)) = asked.pose else { continue };
+            let who = match &self.moving {
+                Some(moving) if last.is_cancelled() || asked.changed.elapsed() >= moving.settling => Priority::Still,
+                _ => Priority::Viewer,
+            };
+            let begun = CancellationToken::new();
+            let moved_on = async {
+                let _ = wishes.wait_for(|now| now.revision > asked.revision).await;
+                if begun.is_cancelled() {
+                    std::future::pending().await
+                }
+            };
+            let rendered = tokio::select! {
+                biased;
+                // A frame of full size is not begun for a viewer who has moved on; one that was begun is shown.
+                () = moved_on, if who == Priority::Still => {
+                    self.stage.metrics.stills_abandoned.inc();
+                    continue;
+                }
+                rendered = self.render(&asked, who, sent + 1, begun.clone()) => rendered,
+            };
+            let turn = match rendered {
+                Ok((mut frame, turn)) => {
+                    owed = match (turn.drawn == turn.full, frame.is_final, &self.moving) {
+                        (true, true, _) => Owed::Nothing,
+                        (false, _, Some(moving)) => Owed::FullSize(turn.wish.changed + moving.settling),
+                        _ => Owed::Better,
+                    };
+                    frame.is_final = owed == Owed::Nothing;
+                    self.measure(&frame, share(&turn.drawn, &turn.full), who);
+                    // Before it can be acknowledged.
+                    self.sent.store(sent + 1, Ordering::SeqCst);
+                    slot.send(Ok(response(Down::Frame(frame))));
+                    sent_at = Instant::now();
+                    turn
+                }
+                // The wish stays due: a viewer at rest sends nothing that would ask again.
+                Err(error) if error.reason() == Reason::RenderQueueFull => {
+                    drop(slot);
+                    tokio::time::sleep(QUEUE_RETRY).await;
+                    continue;
+                }
+                Err(error) => {
+                    slot.send(Ok(response(status(&error, pose_id))));
+                    (shown, owed) = (asked.revision, Owed::Nothing);
+                    continue;
+                }
+            };
+            let Turn { wish, drawn, .. } = turn;
+            shown = wish.revision;
+            if wish.poses > poses_shown {
+                motion.moved_to(drawn);
+            }
+            expected = motion.next().map(|camera| Expected { version: self.version.clone(), camera, settings: wish.settings });
+            self.stage.metrics.poses_overtaken.inc_by((wish.poses - poses_shown).saturating_sub(1));
+            poses_shown = wish.poses;
+        }
+    }
+
+    /// Until the frame that is owed is due and has a credit; for ever if none is. One that waits for rest is due when no more messages come.
+    async fn until_due(&self, owed: Owed, sent: u64, last: &CancellationToken) {
+        match owed {
+            Owed::Nothing => std::future::pending().await,
+            Owed::Better => {}
+            Owed::FullSize(at) => tokio::select! {
+                () = tokio::time::sleep_until(at) => {}
+                () = last.cancelled() => {}
+            },
+        }
+        let _ = self.wish.subscribe().wait_for(|wish| sent - wish.acknowledged < self.credits).await;
+    }
+
+    /// Until a frame has waited too long for its acknowledgement; for ever once all have theirs.
+    async fn until_mute(&self, sent: u64, sent_at: Instant) {
+        let mut wishes = self.wish.subscribe();
+        let all_acknowledged = async { drop(wishes.wait_for(|wish| wish.acknowledged >= sent).await) };
+        tokio::select! {
+            () = all_acknowledged => {}
+            () = tokio::time::sleep_until(sent_at + self.stage.mute_patience) => return,
+        }
+        std::future::pending().await
+    }
+
+    /// For the size of the frames to come. `share`: of the full size's pixels.
+    fn measure(&self, frame: &proto::Frame, share: f32, who: Priority) {
+        let (Some(moving), Some(t)) = (&self.moving, &frame.timings) else { return };
+        let seconds = |micros: u64| micros as f32 / 1e6;
+        // Who rests stands back, which says nothing of the wait of one who moves.
+        let waiting = (who == Priority::Viewer).then(|| seconds(t.queue_micros));
+        let took = Took { waiting, own: seconds(t.pages_micros + t.render_micros + t.encode_micros) };
+        let mut measured = moving.measured();
+        measured.pace.drawn(share, took);
+        measured.link.sent(frame.frame_id, share, Instant::now().into_std());
+    }
+
+    /// Brings what the expected frame would miss, once, and never returns.
+    async fn prefetch(&self, expected: &mut Option<Expected>) {
+        if let Some(expected) = expected.take().filter(|e| self.stage.looks_ahead && e.settings.backend != BackendChoice::Cpu) {
+            match expected.bring(&self.stage.frames, self.stage.upload_bytes_per_frame).await {
+                Ok(pages) => tracing::trace!(pages, "brought ahead"),
+                // The frame itself will tell the viewer.
+                Err(error) => tracing::debug!(%error, "nothing brought ahead"),
+            }
+            self.stage.metrics.looks_ahead.inc();
+        }
+        std::future::pending().await
+    }
+
+    /// The latest wish of the moment when the render thread takes it up, as its frame: of full size where it is still the one that was
+    /// asked for at rest, however long it waited.
+    /// `begun` is cancelled then.
+    async fn render(&self, asked: &Wish, who: Priority, frame_id: u64, begun: CancellationToken) -> Result<(proto::Frame, Turn), ApiError> {
+        let (version, moving, upload_bytes) = (self.version.clone(), self.moving.clone(), self.stage.upload_bytes_per_frame);
+        let (wishes, asked) = (self.wish.subscribe(), asked.clone());
+        let order = move || {
+            begun.cancel();
+            let latest = wishes.borrow().clone();
+            let rests = who == Priority::Still && latest.revision == asked.revision;
+            let turn = Turn::of(latest, moving.as_deref().filter(|_| !rests));
+            let turn = turn.expect("a wish that is asked for has a pose, and keeps one");
+            let (settings, output, refine) = (turn.wish.settings, turn.wish.output, Refine::UpTo { upload_bytes });
+            (FrameOrder { version, camera: turn.drawn, settings, output, opening_micros: 0, refine }, turn)
+        };
+        let begun = Instant::now();
+        let (frame, turn) = self.stage.frames.encoded_late(order, who, None).await?;
+        let pose_id = turn.pose_id;
+        tracing::debug!(frame_id, pose_id, micros = begun.elapsed().as_micros() as u64, "frame");
+        let identity = FrameIdentity { frame_id, pose_id, dataset: self.version.dataset.clone(), dataset_version: self.version.version };
+        Ok((wire::frames::frame(frame, identity), turn))
+    }
+}
+
+impl Turn {
+    /// As large as the pace says of a viewer who moves. None before the first pose.
+    fn of(wish: Wish, moving: Option<&Moving>) -> Option<Self> {
+        let (pose_id, full) = wish.pose?;
+        let drawn = moving.map_or(full, |m| m.measured().smaller(&full));
+        Some(Self { wish, pose_id, full, drawn })
+    }
+}
+
+impl Moving {
+    /// None for rate 0.
+    fn at(frames_per_second: f32, field: &str) -> Result<Option<Arc<Self>>, ApiError> {
+        if frames_per_second == 0.0 {
+            return Ok(None);
+        }
+        let rate = wire::within(frames_per_second, MOVING_RATES.0, MOVING_RATES.1, field)?;
+        let settling = (SETTLING_FRAMES / rate).clamp(SETTLING_SECONDS.0, SETTLING_SECONDS.1);
+        let measured = Measured { pace: Pace::new(rate), link: Link::default() };
+        Ok(Some(Arc::new(Self { settling: Duration::from_secs_f32(settling), measured: Mutex::new(measured) })))
+    }
+
+    fn measured(&self) -> MutexGuard<'_, Measured> {
+        self.measured.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Measured {
+    /// The camera of the next frame while the viewer moves.
+    fn smaller(&self, camera: &Camera) -> Camera {
+        smaller(camera, self.pace.rung())
+    }
+
+    fn acknowledged(&mut self, frame_id: u64) {
+        if let Some((share, seconds)) = self.link.acknowledged(frame_id, Instant::now().into_std()) {
+            self.pace.arrived(share, seconds);
+        }
+    }
+
+    /// A new stream may take another way.
+    fn forget_link(&mut self) {
+        self.link = Link::default();
+        self.pace.forget_link();
+    }
+}
+
+impl Wish {
+    /// What a later update has not overtaken.
+    fn apply(&mut self, change: Change) {
+        let Change { sequence, pose, settings, output, acknowledged } = change;
+        let before = self.revision;
+        if let Some(pose) = pose.filter(|_| sequence >= self.sequences.pose) {
+            (self.pose, self.sequences.pose) = (Some(pose), sequence);
+            self.poses += 1;
+            self.revision = before + 1;
+        }
+        if let Some(settings) = settings.filter(|_| sequence >= self.sequences.settings) {
+            (self.settings, self.sequences.settings) = (settings, sequence);
+            self.revision = before + 1;
+        }
+        if let Some(output) = output.filter(|_| sequence >= self.sequences.output) {
+            (self.output, self.sequences.output) = (output, sequence);
+            self.revision = before + 1;
+        }
+        if self.revision > before {
+            self.changed = Instant::now();
+        }
+        self.acknowledged = self.acknowledged.max(acknowledged);
+    }
+}
