@@ -1,0 +1,288 @@
+/**
+ * What is shown and how, by dataset kind: one table of fields, from which the panel, the link and the wire's messages are made. A field's
+ * value is text or a number; what a server makes of it is the server's to judge.
+ */
+
+/** Kinds that this page can show. */
+export type Kind = 'offset_surface_light_field' | 'parameter_map';
+
+/** The kinds' names for people. */
+export const KIND_NAMES: Readonly<Record<string, string>> = {
+  offset_surface_light_field: 'offset surface light field',
+  parameter_map: 'parameter map',
+  observation_map: 'observation map',
+};
+
+export function isKind(kind: string): kind is Kind {
+  return kind === 'offset_surface_light_field' || kind === 'parameter_map';
+}
+
+/** What one picture shows. */
+export interface Settings {
+  readonly component: string;
+  readonly blend: string;
+  readonly exponent: number;
+  readonly specularRed: number;
+  readonly specularGreen: number;
+  readonly specularBlue: number;
+  readonly filter: string;
+  readonly brdf: string;
+  readonly directions: number;
+  readonly show: string;
+  readonly exposureStops: number;
+  readonly exposureGamma: number;
+  readonly overlay: string;
+}
+
+/** How pictures come here: of both halves of a split view. */
+export interface Delivery {
+  readonly encoding: string;
+  readonly quality: number;
+  /** Picture pixels: of a CSS pixel's side, or 0 for the device's own. */
+  readonly scale: number;
+  /** Frames per second asked for while moving. */
+  readonly rate: number;
+  /** "off" or "depth": whether the last frame is warped to the newest pose while the next is awaited. */
+  readonly warp: string;
+}
+
+/** A choice's value and its name for people. */
+export type Option = readonly [value: string, label: string];
+
+interface Common<T> {
+  readonly key: keyof T & string;
+  readonly label: string;
+  readonly hint?: string;
+  /** Whether the field changes anything. */
+  readonly applies: (values: T, kind: Kind) => boolean;
+}
+
+/** One setting and its control. */
+export type Field<T> = Common<T> &
+  (
+    | { readonly control: 'choice'; readonly options: readonly Option[] }
+    | { readonly control: 'range' | 'number'; readonly least: number; readonly most: number; readonly step: number }
+    | { readonly control: 'text'; readonly presets: readonly Option[] }
+  );
+
+export const DEFAULT_SETTINGS: Settings = {
+  component: 'reconstruction',
+  blend: 'corrected',
+  exponent: 4,
+  specularRed: 0.5,
+  specularGreen: 0.5,
+  specularBlue: 0.5,
+  filter: 'footprint',
+  brdf: '{"model": "cook_torrance", "alpha_x": 0.1, "alpha_y": 0.3, "f0": [0.95, 0.64, 0.54]}',
+  directions: 64,
+  show: 'radiance',
+  exposureStops: 0,
+  exposureGamma: 0,
+  overlay: 'none',
+};
+
+export const DEFAULT_DELIVERY: Delivery = { encoding: 'jpeg', quality: 90, scale: 1, rate: 30, warp: 'off' };
+
+const isLightField = (kind: Kind): boolean => kind === 'offset_surface_light_field';
+const showsComponent =
+  (...components: string[]) =>
+  (values: Settings, kind: Kind): boolean =>
+    isLightField(kind) && components.includes(values.component);
+
+export const SETTING_FIELDS: readonly Field<Settings>[] = [
+  {
+    key: 'component',
+    label: 'Component',
+    control: 'choice',
+    options: [
+      ['reconstruction', 'reconstruction'],
+      ['mirror', 'mirror'],
+      ['full', 'both'],
+      ['glossy', 'glossy BRDF'],
+    ],
+    applies: (_, kind) => isLightField(kind),
+  },
+  {
+    key: 'blend',
+    label: 'Blend',
+    control: 'choice',
+    options: [
+      ['corrected', 'corrected'],
+      ['normal', 'normal'],
+      ['reflection', 'reflection'],
+      ['distance', 'distance'],
+      ['angle', 'angle'],
+      ['average', 'average'],
+      ['environment-map', 'environment map'],
+    ],
+    applies: (_, kind) => isLightField(kind),
+  },
+  {
+    key: 'exponent',
+    label: 'Exponent N',
+    control: 'number',
+    least: 0,
+    most: 10000,
+    step: 0.1,
+    applies: (values, kind) =>
+      showsComponent('mirror', 'full', 'glossy')(values, kind) && (values.blend === 'normal' || values.blend === 'reflection'),
+  },
+  ...(['Red', 'Green', 'Blue'] as const).map(
+    (channel): Field<Settings> => ({
+      key: `specular${channel}`,
+      label: `Specular reflectance, ${channel.toLowerCase()}`,
+      control: 'range',
+      least: 0,
+      most: 1,
+      step: 0.01,
+      applies: showsComponent('mirror', 'full'),
+    }),
+  ),
+  {
+    key: 'brdf',
+    label: 'BRDF',
+    control: 'text',
+    presets: [
+      ['{"model": "cook_torrance", "alpha_x": 0.1, "alpha_y": 0.3, "f0": [0.95, 0.64, 0.54]}', 'brushed copper'],
+      ['{"model": "cook_torrance", "alpha_x": 0.1, "alpha_y": 0.1, "f0": [0.9, 0.7, 0.3]}', 'gold'],
+      [
+        '{"model": "ashikhmin_shirley", "diffuse": [0, 0, 0], "specular": [0.9, 0.9, 0.9], "exponent_u": 100, "exponent_v": 1000}',
+        'brushed silver',
+      ],
+      ['{"model": "lambert", "albedo": [0.8, 0.8, 0.8]}', 'matt white'],
+    ],
+    applies: showsComponent('glossy'),
+  },
+  {
+    key: 'directions',
+    label: 'Directions a pixel',
+    control: 'number',
+    least: 1,
+    most: 4096,
+    step: 1,
+    applies: showsComponent('glossy'),
+  },
+  {
+    key: 'filter',
+    label: 'Filter',
+    control: 'choice',
+    options: [
+      ['footprint', 'footprint'],
+      ['bilinear', 'bilinear'],
+    ],
+    applies: (_, kind) => isLightField(kind),
+  },
+  {
+    key: 'show',
+    label: 'Show',
+    control: 'choice',
+    options: [
+      ['radiance', 'radiance'],
+      ['models', 'models'],
+      ['flags', 'flags'],
+    ],
+    applies: (_, kind) => kind === 'parameter_map',
+  },
+  {
+    key: 'exposureStops',
+    label: 'Exposure, stops',
+    control: 'range',
+    least: -8,
+    most: 8,
+    step: 0.25,
+    applies: () => true,
+  },
+  {
+    key: 'exposureGamma',
+    label: 'Exposure γ',
+    hint: 'Shows 1 − exp(−γ L); 0 clips at 1.',
+    control: 'range',
+    least: 0,
+    most: 8,
+    step: 0.1,
+    applies: () => true,
+  },
+  {
+    key: 'overlay',
+    label: 'Provenance',
+    hint: 'Amber: filled by a fallback. Magenta: unknown. Samples: a colour each.',
+    control: 'choice',
+    options: [
+      ['none', 'off'],
+      ['state', 'filled and unknown'],
+      ['samples', 'samples'],
+    ],
+    applies: () => true,
+  },
+];
+
+export const DELIVERY_FIELDS: readonly Field<Delivery>[] = [
+  {
+    key: 'encoding',
+    label: 'Encoding',
+    control: 'choice',
+    options: [
+      ['jpeg', 'JPEG'],
+      ['png', 'PNG (lossless)'],
+    ],
+    applies: () => true,
+  },
+  {
+    key: 'quality',
+    label: 'JPEG quality',
+    control: 'range',
+    least: 10,
+    most: 100,
+    step: 1,
+    applies: (values) => values.encoding === 'jpeg',
+  },
+  {
+    key: 'scale',
+    label: 'Resolution',
+    control: 'choice',
+    options: [
+      ['0', 'of the device'],
+      ['1', '1'],
+      ['0.5', '½'],
+      ['0.25', '¼'],
+    ],
+    applies: () => true,
+  },
+  {
+    key: 'rate',
+    label: 'Frames/s moving',
+    control: 'number',
+    least: 1,
+    most: 240,
+    step: 1,
+    applies: () => true,
+  },
+  {
+    key: 'warp',
+    label: 'While waiting',
+    control: 'choice',
+    options: [
+      ['off', 'keep the frame'],
+      ['depth', 'warp by depth'],
+    ],
+    applies: () => true,
+  },
+];
+
+/** The value that a text means for this field; undefined where it means none. */
+export function parsed<T>(field: Field<T>, sample: T[keyof T & string], text: string): string | number | undefined {
+  switch (field.control) {
+    case 'text':
+      return text;
+    case 'choice':
+      if (!field.options.some(([value]) => value === text)) return undefined;
+      return typeof sample === 'number' ? Number(text) : text;
+    case 'range':
+    case 'number': {
+      const number = text.trim() === '' ? Number.NaN : Number(text);
+      // The wire has whole numbers where the step is one.
+      const isWhole = field.step !== 1 || Number.isInteger(number);
+      return isWhole && number >= field.least && number <= field.most ? number : undefined;
+    }
+  }
+}

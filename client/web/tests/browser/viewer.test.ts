@@ -1,0 +1,411 @@
+/**
+ * The viewer as a person uses it. One server and one browser for all; every picture that is compared is compared pixel for pixel with
+ * Rendering.RenderFrame of the camera and settings that the page sent.
+ */
+import { readFileSync } from 'node:fs';
+
+import type { Browser } from 'playwright-core';
+import { afterAll, beforeAll, describe, expect, test } from 'vitest';
+
+import {
+  OffsetSurfaceLightFieldSettings_Blend as Blend,
+  OffsetSurfaceLightFieldSettings_Component as Component,
+} from '../../src/generated/lumisphere/v1alpha1/rendering_pb';
+import { startBrowser, VIEWPORT, ViewerPage } from './page';
+import { Server } from './server';
+
+const server = new Server();
+let browser: Browser;
+
+beforeAll(async () => {
+  await server.start();
+  server.fill();
+  browser = await startBrowser();
+});
+
+afterAll(async () => {
+  await browser?.close();
+  await server.remove();
+});
+
+/** Pixels in which a picture differs from RenderFrame of what its session was asked. */
+async function wrongPixels(viewer: ViewerPage, dataset: string, before = 0, pane = 0): Promise<number> {
+  const { camera, settings, output } = viewer.asked(before);
+  const frame = await server.renderFrame(dataset, camera, settings, { ...output, wantProvenance: false, wantDepth: false });
+  return viewer.differingPixels(frame.color, pane);
+}
+
+/** The picture becomes what RenderFrame shows: another frame of the same pose may be on its way. */
+async function seen(viewer: ViewerPage, dataset: string, before = 0, pane = 0): Promise<void> {
+  await expect.poll(() => wrongPixels(viewer, dataset, before, pane), { timeout: 20_000, interval: 250 }).toBe(0);
+}
+
+function dot(a: { x: number; y: number; z: number }, b: { x: number; y: number; z: number }): number {
+  return a.x * b.x + a.y * b.y + a.z * b.z;
+}
+
+function address(viewer: ViewerPage): URLSearchParams {
+  return new URLSearchParams(new URL(viewer.page.url()).hash.slice(1));
+}
+
+describe('a person', () => {
+  let viewer: ViewerPage;
+
+  beforeAll(async () => {
+    viewer = await ViewerPage.open(browser, server.url);
+  });
+
+  test('sees all datasets, with pictures of those that have one', async () => {
+    await viewer.page.waitForFunction(() => document.querySelectorAll('.thumbnail img').length === 2);
+    expect(await viewer.page.locator('.card .name').allTextContents()).toEqual(['empty', 'map', 'patchwork', 'seen']);
+    expect(await viewer.page.locator('a.card').count()).toBe(2);
+    await viewer.screenshot('list');
+  });
+
+  test('opens one by a click and sees what RenderFrame shows', async () => {
+    await viewer.page.getByRole('link', { name: 'patchwork' }).click();
+    await viewer.isStill();
+    await seen(viewer, 'patchwork');
+    await viewer.screenshot('live');
+  });
+
+  test('begins with the view that the command line’s orbit begins with', async () => {
+    const { width, height } = (await viewer.page.locator('.pictures').boundingBox())!;
+    const orbit = (azimuth: number): Buffer => server.orbitPicture('patchwork', Math.floor(width), Math.floor(height), azimuth);
+    const picture = await viewer.picture();
+    // The same camera but for f32's rounding, of both, and JPEG's.
+    expect(await viewer.meanDifference(picture, orbit(0))).toBeLessThan(2);
+    expect(await viewer.meanDifference(picture, orbit(5))).toBeGreaterThan(4);
+  });
+
+  test('is not told that other pictures are the same', async () => {
+    const { camera, settings, output } = viewer.asked();
+    const frame = await server.renderFrame('patchwork', camera, settings, output);
+    expect(await viewer.differingPixels(frame.color, 0, true)).toBe(1);
+    const elsewhere = { ...camera, pose: { ...camera.pose!, position: { ...camera.pose!.position!, x: camera.pose!.position!.x + 0.2 } } };
+    const other = await server.renderFrame('patchwork', elsewhere, settings, output);
+    expect(await viewer.differingPixels(other.color)).toBeGreaterThan(1000);
+  });
+
+  test('drags, and the picture follows', async () => {
+    const before = await viewer.picture();
+    const azimuth = Number(address(viewer).get('az'));
+    await viewer.becomesStillAfter(() => viewer.drag(100, 0));
+    await seen(viewer, 'patchwork');
+    expect(await viewer.differingPixels(before)).toBeGreaterThan(1000);
+    // Half a turn for the shorter side; what is seen goes with the pointer, so the eye goes the other way.
+    const { width, height } = (await viewer.page.locator('.stage').boundingBox())!;
+    await expect.poll(() => Number(address(viewer).get('az')) - azimuth).toBeCloseTo((-180 * 100) / Math.min(width, height), 3);
+  });
+
+  test('goes nearer by the wheel, shifts with shift, turns by keys, and resets', async () => {
+    const stage = viewer.page.locator('.stage');
+    const distance = Number(address(viewer).get('r'));
+    const target = address(viewer).get('at');
+    await stage.hover();
+    await viewer.becomesStillAfter(() => viewer.page.mouse.wheel(0, -300));
+    await expect.poll(() => Number(address(viewer).get('r')) / distance).toBeCloseTo(Math.exp(-0.3), 5);
+    await viewer.page.keyboard.down('Shift');
+    await viewer.becomesStillAfter(() => viewer.drag(40, 30));
+    await viewer.page.keyboard.up('Shift');
+    await expect.poll(() => address(viewer).get('at')).not.toBe(target);
+    await stage.focus();
+    const elevation = Number(address(viewer).get('el'));
+    await viewer.becomesStillAfter(() => viewer.page.keyboard.press('ArrowUp'));
+    await expect.poll(() => Number(address(viewer).get('el'))).toBeGreaterThan(elevation + 1);
+    await seen(viewer, 'patchwork');
+    await viewer.becomesStillAfter(() => viewer.page.keyboard.press('r'));
+    await expect.poll(() => [address(viewer).get('az'), address(viewer).get('el')]).toEqual(['0', '25']);
+  });
+
+  test('flies: dragging turns the head, keys move along the gaze', async () => {
+    const stage = viewer.page.locator('.stage');
+    await stage.focus();
+    await viewer.page.keyboard.press('f');
+    const start = viewer.asked().camera.pose!;
+    await viewer.becomesStillAfter(() => viewer.drag(60, 0));
+    const turned = viewer.asked().camera.pose!;
+    for (const axis of ['x', 'y', 'z'] as const) expect(turned.position![axis]).toBeCloseTo(start.position![axis], 4);
+    // What is seen goes right: the head turned left, so its back turned right.
+    expect(dot(turned.backward!, start.right!)).toBeGreaterThan(0.03);
+    await viewer.becomesStillAfter(() => viewer.page.keyboard.press('w'));
+    const { position } = viewer.asked().camera.pose!;
+    const step = { x: position!.x - turned.position!.x, y: position!.y - turned.position!.y, z: position!.z - turned.position!.z };
+    // Along the gaze and no other way.
+    expect(-dot(step, turned.backward!) / Math.hypot(step.x, step.y, step.z)).toBeCloseTo(1, 3);
+    await seen(viewer, 'patchwork');
+    await viewer.page.keyboard.press('f');
+    await viewer.becomesStillAfter(() => viewer.page.keyboard.press('r'));
+  });
+
+  test('changes a setting, and the picture shows it', async () => {
+    const before = await viewer.picture();
+    await viewer.becomesStillAfter(() => viewer.field('Component').selectOption('mirror'));
+    const { camera, settings, output } = viewer.asked();
+    const mirror = settings.representation;
+    if (mirror.case !== 'offsetSurfaceLightField') throw new Error('another kind');
+    expect([mirror.value.component, mirror.value.blend]).toEqual([Component.MIRROR, Blend.CORRECTED]);
+    const frame = await server.renderFrame('patchwork', camera, settings, output);
+    expect(await viewer.differingPixels(frame.color)).toBe(0);
+    expect(await viewer.differingPixels(before)).toBeGreaterThan(1000);
+    await expect.poll(() => address(viewer).get('component')).toBe('mirror');
+  });
+
+  test('is told what the server refuses, and goes on', async () => {
+    // A glossy frame takes long on a software adapter: a small one.
+    await viewer.becomesStillAfter(() => viewer.page.setViewportSize({ width: 400, height: 300 }));
+    await viewer.becomesStillAfter(() => viewer.field('Component').selectOption('glossy'));
+    const text = viewer.field('BRDF');
+    const good = await text.inputValue();
+    await text.fill('{"model": "rubber"}');
+    await text.blur();
+    await viewer.page.getByRole('alert').getByText('rubber').waitFor();
+    await viewer.screenshot('refused');
+    await viewer.becomesStillAfter(async () => {
+      await text.fill(good);
+      await text.blur();
+      await viewer.field('Exposure, stops').fill('-1');
+    });
+    expect(await viewer.page.getByRole('alert').isVisible()).toBe(false);
+    await seen(viewer, 'patchwork');
+    await viewer.becomesStillAfter(() => viewer.field('Component').selectOption('mirror'));
+    await viewer.becomesStillAfter(() => viewer.page.setViewportSize(VIEWPORT));
+  });
+
+  test('sends a link that shows another the same view', async () => {
+    await viewer.becomesStillAfter(() => viewer.drag(-37, 21));
+    await viewer.page.getByRole('button', { name: 'Copy link' }).click();
+    const other = await ViewerPage.open(browser, viewer.page.url());
+    await other.isStill();
+    expect(await other.differingPixels(await viewer.picture())).toBe(0);
+    await other.close();
+  });
+
+  test('compares two settings, each of which is right', async () => {
+    await viewer.field('Compare').selectOption('wipe');
+    await viewer.isStill();
+    await viewer.page.getByRole('button', { name: 'B', exact: true }).click();
+    await viewer.becomesStillAfter(() => viewer.field('Component').selectOption('reconstruction'), 1);
+    await seen(viewer, 'patchwork', 1, 0);
+    await seen(viewer, 'patchwork', 0, 1);
+    expect(await viewer.differingPixels(await viewer.picture(0), 1)).toBeGreaterThan(1000);
+    await viewer.screenshot('wipe');
+    await expect.poll(() => address(viewer).get('split')).toBe('wipe');
+    const other = await ViewerPage.open(browser, viewer.page.url());
+    await other.isStill();
+    expect(await other.differingPixels(await viewer.picture(0), 0)).toBe(0);
+    expect(await other.differingPixels(await viewer.picture(1), 1)).toBe(0);
+    await other.close();
+    await viewer.field('Compare').selectOption('side');
+    await viewer.isStill();
+    await viewer.becomesStillAfter(() => viewer.drag(30, 10));
+    await seen(viewer, 'patchwork', 1, 0);
+    await seen(viewer, 'patchwork', 0, 1);
+    await viewer.screenshot('side');
+    await viewer.field('Compare').selectOption('none');
+    await viewer.isStill();
+  });
+
+  test('saves the still as PNG and as EXR', async () => {
+    const saved = async (name: string): Promise<Buffer> => {
+      const [download] = await Promise.all([viewer.page.waitForEvent('download'), viewer.page.getByRole('button', { name }).click()]);
+      return readFileSync((await download.path())!);
+    };
+    const png = await saved('Save PNG');
+    await viewer.becomesStillAfter(() => viewer.field('Encoding').selectOption('png'));
+    expect(await viewer.differingPixels(png)).toBe(0);
+    // OpenEXR's magic number.
+    expect((await saved('Save EXR')).subarray(0, 4).toString('hex')).toBe('762f3101');
+  });
+
+  test('sees where pixels come from', async () => {
+    const overlay = viewer.page.locator('canvas.overlay');
+    expect(await overlay.isVisible()).toBe(false);
+    await viewer.becomesStillAfter(() => viewer.field('Provenance').selectOption('samples'));
+    expect(await overlay.isVisible()).toBe(true);
+    const colours = await overlay.evaluate((canvas: HTMLCanvasElement) => {
+      const data = canvas.getContext('2d')!.getImageData(0, 0, canvas.width, canvas.height).data;
+      return new Set(new Uint32Array(data.buffer)).size;
+    });
+    // Background and several of the 16 sample points.
+    expect(colours).toBeGreaterThan(3);
+    await viewer.screenshot('provenance');
+    await viewer.field('Provenance').selectOption('none');
+    expect(await overlay.isVisible()).toBe(false);
+  });
+
+  test('sees the last frame warped to the newest pose while the server lets it wait', async () => {
+    await viewer.becomesStillAfter(() => viewer.field('While waiting').selectOption('depth'));
+    const warp = viewer.page.locator('canvas.warp');
+    const before = await viewer.picture();
+    server.pause();
+    await viewer.drag(30, -8);
+    await warp.waitFor({ state: 'visible' });
+    const warped = await viewer.page.locator('.pictures').screenshot();
+    server.resume();
+    await viewer.isStill();
+    expect(await warp.isVisible()).toBe(false);
+    await seen(viewer, 'patchwork');
+    const truth = await viewer.picture();
+    // What only the new pose sees, and what moves with the eye, cannot be right.
+    expect(await viewer.meanDifference(warped, truth)).toBeLessThan(0.5 * (await viewer.meanDifference(before, truth)));
+    await viewer.becomesStillAfter(() => viewer.field('While waiting').selectOption('off'));
+  });
+
+  test('keeps the view when the server is killed and comes back on its port', async () => {
+    await server.kill();
+    await viewer.page.getByRole('alert').getByText('Trying again').waitFor();
+    expect(await viewer.page.locator('.status').textContent()).toBe('reconnecting');
+    await viewer.screenshot('reconnecting');
+    // Moved meanwhile: the pose that is newest then is what comes back.
+    const before = await viewer.picture();
+    await viewer.drag(80, 20);
+    await server.start();
+    await viewer.isStill();
+    await seen(viewer, 'patchwork');
+    expect(await viewer.differingPixels(before)).toBeGreaterThan(1000);
+    expect(await viewer.page.getByRole('alert').isVisible()).toBe(false);
+    await viewer.becomesStillAfter(() => viewer.drag(-50, 0));
+    await seen(viewer, 'patchwork');
+  });
+
+  test('drags for long, and the page does not grow', async () => {
+    const cdp = await viewer.page.context().newCDPSession(viewer.page);
+    const held = async (): Promise<{ objects: number; bytes: number }> => {
+      await cdp.send('HeapProfiler.collectGarbage');
+      const { usedSize, backingStorageSize } = await cdp.send('Runtime.getHeapUsage');
+      return { objects: usedSize, bytes: backingStorageSize };
+    };
+    const drags = async (count: number): Promise<void> => {
+      for (let i = 0; i < count; i++) await viewer.drag(i % 2 ? 60 : -60, i % 3 ? 8 : -16);
+    };
+    await viewer.becomesStillAfter(() => drags(10));
+    const before = await held();
+    await viewer.becomesStillAfter(() => drags(30));
+    const after = await held();
+    // 240 poses are past. Their frames, tens at least and of kilobytes each, must not stay; a megabyte is room for the browser's own tables.
+    expect(after.bytes - before.bytes).toBeLessThan(5e4);
+    expect(after.objects - before.objects).toBeLessThan(1e6);
+    await seen(viewer, 'patchwork');
+  });
+
+  test('goes back to the list, and the session is closed', async () => {
+    const closed = (): number => viewer.requests.filter((url) => url.endsWith('/CloseSession')).length;
+    const before = closed();
+    await viewer.page.getByRole('link', { name: 'Datasets' }).click();
+    await viewer.page.getByRole('link', { name: 'map' }).waitFor();
+    expect(closed()).toBe(before + 1);
+  });
+
+  test('has caused no complaint of the browser but those of the killed server, and no request to anybody else', async () => {
+    expect(
+      viewer.complaints.filter(
+        (text) => !/ERR_CONNECTION_REFUSED|ERR_INCOMPLETE_CHUNKED|ERR_EMPTY_RESPONSE|ERR_CONNECTION_RESET/.test(text),
+      ),
+    ).toEqual([]);
+    expect([...new Set(viewer.requests.map((url) => new URL(url).origin))]).toEqual([server.url]);
+    await viewer.close();
+  });
+});
+
+describe('on a small screen, with a light scheme', () => {
+  test('everything fits 400 pixels, and a finger turns the view', async () => {
+    const viewer = await ViewerPage.open(browser, `${server.url}/#d=map`, {
+      viewport: { width: 400, height: 700 },
+      hasTouch: true,
+      isMobile: true,
+      colorScheme: 'light',
+    });
+    await viewer.isStill();
+    // Not against the window's own width, which a phone's browser makes as large as the page.
+    const contentWidth = (): Promise<number> => viewer.page.evaluate(() => document.scrollingElement!.scrollWidth);
+    expect(await contentWidth()).toBe(400);
+    const stage = (await viewer.page.locator('.stage').boundingBox())!;
+    expect(stage.height).toBeGreaterThan(350);
+    await viewer.screenshot('small');
+
+    const cdp = await viewer.page.context().newCDPSession(viewer.page);
+    const touch = (type: 'touchStart' | 'touchMove' | 'touchEnd', ...points: [number, number][]): Promise<unknown> =>
+      cdp.send('Input.dispatchTouchEvent', { type, touchPoints: points.map(([x, y], id) => ({ x, y, id })) });
+    const [x, y] = [stage.x + stage.width / 2, stage.y + stage.height / 2];
+    await viewer.becomesStillAfter(async () => {
+      await touch('touchStart', [x, y]);
+      await touch('touchMove', [x + 50, y]);
+      await touch('touchEnd');
+    });
+    await expect.poll(() => Number(address(viewer).get('az'))).toBeCloseTo((-180 * 50) / stage.width, 3);
+    await seen(viewer, 'map');
+
+    const distance = Number(address(viewer).get('r'));
+    await viewer.becomesStillAfter(async () => {
+      await touch('touchStart', [x - 40, y], [x + 40, y]);
+      await touch('touchMove', [x - 80, y], [x + 80, y]);
+      await touch('touchEnd');
+    });
+    await expect.poll(() => Number(address(viewer).get('r'))).toBeCloseTo(distance / 2, 3);
+
+    await viewer.page.getByRole('button', { name: 'Settings' }).click();
+    await viewer.becomesStillAfter(() => viewer.field('Show').selectOption('models'));
+    expect(await viewer.field('Component').isVisible()).toBe(false);
+    await seen(viewer, 'map');
+    expect(await contentWidth()).toBe(400);
+    await viewer.screenshot('small-settings');
+    expect(viewer.complaints).toEqual([]);
+    await viewer.close();
+  });
+});
+
+describe('by keyboard alone', () => {
+  test('a dataset is opened, and every control has a name and is reached in order', async () => {
+    const viewer = await ViewerPage.open(browser, server.url);
+    await viewer.page.locator('a.card').first().waitFor();
+    await viewer.page.keyboard.press('Tab');
+    await viewer.page.keyboard.press('Enter');
+    await viewer.isStill();
+    const seen: string[] = [];
+    for (let i = 0; i < 40; i++) {
+      await viewer.page.keyboard.press('Tab');
+      const name = await viewer.page.evaluate(() => {
+        const element = document.activeElement as HTMLInputElement | null;
+        if (element === null || element === document.body) return '';
+        const named = element.getAttribute('aria-label') ?? element.labels?.[0]?.textContent ?? element.textContent ?? '';
+        return named === '' ? `nameless ${element.outerHTML}` : named;
+      });
+      if (name === '') break;
+      seen.push(name);
+    }
+    expect(seen.slice(0, 7)).toEqual(['Datasets', 'Reset', 'Fly', 'Compare', 'Copy link', 'Settings', 'map, live view']);
+    expect(seen.slice(7)).toEqual([
+      'Show',
+      'Exposure, stops',
+      'Exposure γ',
+      'Provenance',
+      'Field of view, °',
+      'Encoding',
+      'JPEG quality',
+      'Resolution',
+      'Frames/s moving',
+      'While waiting',
+      'Save PNG',
+      'Save EXR',
+    ]);
+    await viewer.close();
+  });
+});
+
+describe('a link that cannot be followed', () => {
+  test.each([
+    ['#d=nobody', 'There is no dataset “nobody”'],
+    ['#d=patchwork&v=9', 'has no version 9; there are: 1'],
+    ['#d=empty', '“empty” is empty'],
+    ['#d=seen', 'observation map'],
+    ['#d=patchwork&blend=shiny', 'blend=shiny'],
+    ['#nonsense', 'names no dataset'],
+  ])('%s says why', async (hash, message) => {
+    const viewer = await ViewerPage.open(browser, `${server.url}/${hash}`);
+    await viewer.page.getByRole('alert').getByText(message).waitFor();
+    await viewer.page.getByRole('link', { name: 'All datasets' }).click();
+    await viewer.page.getByRole('link', { name: 'patchwork' }).waitFor();
+    await viewer.close();
+  });
+});
