@@ -3,6 +3,7 @@
 
 use std::fs;
 use std::path::Path;
+use std::time::Instant;
 
 use lumisphere::capture::{coarser_levels, halved, stacked};
 use lumisphere::directions::FACES;
@@ -13,7 +14,7 @@ use wire::offset_surface_light_field_settings::{Blend, Component, Filter};
 use wire::render_settings::Representation;
 
 use crate::prefetch::has_adapter;
-use crate::process::{Server, temporary_folder};
+use crate::process::{PATIENCE, Server, temporary_folder};
 use crate::tiny::{self, DATASET, QUICK};
 use crate::wire::{camera_around, frame_request, settings};
 
@@ -170,12 +171,22 @@ async fn real_memory_is_within_a_tenth_of_the_sum_of_the_memorys_budgets() {
     let (memory, compressed) = (memory.to_string(), compressed.to_string());
     let change = ["cache", "configure", "--memory-budget-bytes", &memory, "--compressed-budget-bytes", &compressed];
     tokio::task::block_in_place(|| server.json(&change));
-    for state in ["filled", "churned"] {
+    // Blocks of 32 KiB, pages of 256 KiB, both: each churns what the one before has left.
+    for state in ["block", "full_image", "full_image", "half_threshold", "on_demand", "block"] {
+        tokio::task::block_in_place(|| server.json(&["cache", "configure", "--strategy", state]));
         frames(&server, 36, (160, 120), &settings).await;
-        let (real, counted) = (server.anonymous_bytes() - program, held().await);
-        println!("{state}: {real} bytes real, {counted} counted, {budgets} budgets, {program} the program's");
+        let counted = held().await;
         assert!(counted <= budgets && counted * 10 >= budgets * 9, "{state}: {counted} of {budgets} bytes are used");
-        assert!(real * 10 <= budgets * 11, "{state}: {real} bytes above the program's {program}, budgets of {budgets}");
-        assert!(real * 10 >= counted * 9, "{state}: {real} bytes real, {counted} counted: this measures something else");
+        let (ended, at_once) = (Instant::now(), server.anonymous_bytes() - program);
+        // The server gives back what the allocator has left over every second.
+        let mut real = at_once;
+        while real * 10 > budgets * 11 {
+            assert!(ended.elapsed() < PATIENCE, "{state}: {real} bytes above the program's {program}, budgets of {budgets}");
+            real = server.anonymous_bytes() - program;
+        }
+        let ratio = |bytes: u64| bytes as f64 / budgets as f64;
+        println!("{state}: {:.3} of the budgets at once, {:.3} after {:?}", ratio(at_once), ratio(real), ended.elapsed());
+        // Of pages with half of their rows the whole is counted, and the program's own garbage goes, too.
+        assert!(at_once * 2 >= counted, "{state}: {at_once} bytes real, {counted} counted: this measures something else");
     }
 }

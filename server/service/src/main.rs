@@ -8,6 +8,7 @@ mod config;
 mod errors;
 mod frame_use;
 mod frames;
+mod freed_memory;
 mod jobs;
 mod prefetch;
 mod render_queue;
@@ -49,6 +50,7 @@ const LAST_PATIENCE: Duration = Duration::from_millis(200);
 const LAST_FRAME_PATIENCE: Duration = Duration::from_secs(5);
 
 fn main() -> ExitCode {
+    freed_memory::keep_large_apart();
     let (effective, print) = match Effective::from_process() {
         Ok(Ok(effective)) => effective,
         Ok(Err(error)) => {

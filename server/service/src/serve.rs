@@ -17,6 +17,7 @@ use tonic_web::GrpcWebLayer;
 use tower_http::cors::{AllowOrigin, CorsLayer};
 
 use crate::api::{Api, App};
+use crate::freed_memory::give_back;
 use crate::shutdown::{Drained, StopSignals, until_drained};
 use crate::telemetry::{Metrics, Observed, RpcMetrics, http_routes};
 use crate::viewer_page::ViewerPage;
@@ -50,6 +51,7 @@ pub async fn serve(app: Arc<App>, grace: Duration) -> anyhow::Result<()> {
     // One line on stdout once both ports take connections: for scripts that asked for port 0.
     println!("listening grpc={} http={}", grpc.local_addr()?, http.local_addr()?);
     tokio::spawn(signals.watch(app.stopping.clone()));
+    tokio::spawn(give_back(app.clone()));
     let http_served = axum::serve(http, http_routes(observed(&app))).into_future();
     let (reporter, health) = tonic_health::server::health_reporter();
     report(&reporter, ServingStatus::Serving).await;

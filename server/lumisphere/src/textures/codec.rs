@@ -256,10 +256,7 @@ impl<'a> Source<'_, 'a> {
 
 /// Some rows of a page, not empty and within it, as a page of that height.
 pub(super) fn decode(source: &Source<'_, '_>, rows: Range<u32>) -> Result<Page, BadBlock> {
-    let mut texels = match source.shape.pixel {
-        PixelFormat::F32 => Texels::F32(Vec::new()),
-        PixelFormat::F16 => Texels::F16(Vec::new()),
-    };
+    let mut texels = Texels::none(source.shape.pixel);
     let first = match source.codec {
         Codec::ZstdChunk => zstd_chunk::unpack(source, &rows, &mut texels)?,
         Codec::ZstdSeq => zstd_seq::unpack(source, &rows, &mut texels)?,
@@ -271,11 +268,7 @@ pub(super) fn decode(source: &Source<'_, '_>, rows: Range<u32>) -> Result<Page, 
 
 /// As many rows of a page as there are.
 fn page_of(shape: &PageShape, texels: Texels) -> Page {
-    let values = match &texels {
-        Texels::F32(v) => v.len(),
-        Texels::F16(v) => v.len(),
-    };
-    Page::new(PageShape { height: (values / shape.row_values()) as u32, ..*shape }, texels)
+    Page::new(PageShape { height: (texels.count() / shape.row_values()) as u32, ..*shape }, texels)
 }
 
 /// Appends the byte planes of some rows.
@@ -313,15 +306,6 @@ fn join_planes(shape: &PageShape, planes: &[&[u8]], relation: Relation, texels: 
             v.resize(start + values, f16::ZERO);
             planes::join::<u16>(planes, channels, row_values, relation, bytemuck::cast_slice_mut(&mut v[start..]));
         }
-    }
-}
-
-/// Room for rows to come, so that appending them allocates once.
-fn reserve_rows(shape: &PageShape, rows: u32, texels: &mut Texels) {
-    let values = rows as usize * shape.row_values();
-    match texels {
-        Texels::F32(v) => v.reserve_exact(values),
-        Texels::F16(v) => v.reserve_exact(values),
     }
 }
 

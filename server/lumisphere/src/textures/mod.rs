@@ -11,6 +11,7 @@
 //! deleted at any time; a killed writer finds its pages again; a full disk is [`StoreError::DiskFull`] and loses nothing.
 
 mod bits;
+mod buffers;
 mod cache;
 mod codec;
 mod disk;

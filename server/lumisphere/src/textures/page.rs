@@ -7,6 +7,7 @@ use half::f16;
 use half::slice::HalfFloatSliceExt;
 use serde::{Deserialize, Serialize};
 
+use super::buffers::Number;
 use super::codec::to_f16;
 use super::error::StoreError;
 
@@ -105,6 +106,49 @@ pub enum Texels {
     F16(Vec<f16>),
 }
 
+impl Texels {
+    /// None yet.
+    pub(super) fn none(pixel: PixelFormat) -> Self {
+        match pixel {
+            PixelFormat::F32 => Self::F32(Vec::new()),
+            PixelFormat::F16 => Self::F16(Vec::new()),
+        }
+    }
+
+    /// How many numbers.
+    pub(super) fn count(&self) -> usize {
+        match self {
+            Self::F32(v) => v.len(),
+            Self::F16(v) => v.len(),
+        }
+    }
+
+    /// Appends some numbers of a page of the same format.
+    fn extend(&mut self, page: &Page, values: Range<usize>) {
+        match (self, &page.texels) {
+            (Self::F32(v), Self::F32(from)) => v.extend_from_slice(&from[values]),
+            (Self::F16(v), Self::F16(from)) => v.extend_from_slice(&from[values]),
+            _ => unreachable!("rows of one page have one format"),
+        }
+    }
+
+    /// Room for so many numbers to come, so that appending them allocates once, or not at all where a page that is gone has left room for as
+    /// many.
+    pub(super) fn make_room(&mut self, count: usize) {
+        fn make<T: Number>(texels: &mut Vec<T>, count: usize) {
+            if texels.is_empty() {
+                *texels = T::buffers().take(count);
+            } else {
+                texels.reserve_exact(count);
+            }
+        }
+        match self {
+            Self::F32(v) => make(v, count),
+            Self::F16(v) => make(v, count),
+        }
+    }
+}
+
 /// Two texels from `first` on, and the two a row below. Checked once a row, not once a texel.
 #[inline(always)]
 fn gather<const CHANNELS: usize>(numbers: &[f32], first: usize, row: usize) -> [[f32; 4]; 4] {
@@ -135,14 +179,20 @@ pub struct Page {
     texels: Texels,
 }
 
+impl Drop for Page {
+    fn drop(&mut self) {
+        match &mut self.texels {
+            Texels::F32(v) => f32::buffers().give(std::mem::take(v)),
+            Texels::F16(v) => f16::buffers().give(std::mem::take(v)),
+        }
+    }
+}
+
 impl Page {
     /// `texels` holds exactly `shape.values()` numbers of `shape.pixel`; the decoder sees to it.
     pub(super) fn new(shape: PageShape, texels: Texels) -> Self {
-        let (count, pixel) = match &texels {
-            Texels::F32(v) => (v.len(), PixelFormat::F32),
-            Texels::F16(v) => (v.len(), PixelFormat::F16),
-        };
-        assert!(count == shape.values() && pixel == shape.pixel, "a page's texels agree with its shape");
+        let is_of_format = matches!((&texels, shape.pixel), (Texels::F32(_), PixelFormat::F32) | (Texels::F16(_), PixelFormat::F16));
+        assert!(is_of_format && texels.count() == shape.values(), "a page's texels agree with its shape");
         Self { shape, texels }
     }
 
@@ -209,11 +259,11 @@ impl Page {
     /// These rows with those of `below` under them, of the same width and format.
     pub(super) fn with_rows_below(&self, below: &Self) -> Self {
         let shape = PageShape { height: self.shape.height + below.shape.height, ..self.shape };
-        let texels = match (&self.texels, &below.texels) {
-            (Texels::F32(upper), Texels::F32(lower)) => Texels::F32([&upper[..], &lower[..]].concat()),
-            (Texels::F16(upper), Texels::F16(lower)) => Texels::F16([&upper[..], &lower[..]].concat()),
-            _ => unreachable!("rows of one page have one format"),
-        };
+        let mut texels = Texels::none(shape.pixel);
+        texels.make_room(shape.values());
+        for rows in [self, below] {
+            texels.extend(rows, 0..rows.shape.values());
+        }
         Self::new(shape, texels)
     }
 
@@ -254,10 +304,9 @@ impl Page {
         }
         let count = self.shape.row_values();
         let values = rows.start as usize * count..rows.end as usize * count;
-        let texels = match self.texels {
-            Texels::F32(v) => Texels::F32(v[values].to_vec()),
-            Texels::F16(v) => Texels::F16(v[values].to_vec()),
-        };
+        let mut texels = Texels::none(self.shape.pixel);
+        texels.make_room(values.len());
+        texels.extend(&self, values);
         Self::new(PageShape { height: rows.end - rows.start, ..self.shape }, texels)
     }
 

@@ -6,7 +6,7 @@
 use std::cell::RefCell;
 use std::ops::Range;
 
-use super::{BLOCK_ROWS, BadBlock, EncodedPage, Source, block_count, block_rows, reserve_rows};
+use super::{BLOCK_ROWS, BadBlock, EncodedPage, Source, block_count, block_rows};
 use crate::textures::bits::{self, GROUP, Packable};
 use crate::textures::page::{PageShape, Texels};
 use crate::textures::planes::{self, Relation};
@@ -50,7 +50,7 @@ pub(super) fn unpack(source: &Source<'_, '_>, rows: &Range<u32>, texels: &mut Te
     let shape = &source.shape;
     let blocks = source.codec.blocks_for(rows);
     let first = blocks.start * BLOCK_ROWS;
-    reserve_rows(shape, block_rows(shape, blocks.end - 1).end - first, texels);
+    texels.make_room((block_rows(shape, blocks.end - 1).end - first) as usize * shape.row_values());
     DIFFERENCES.with_borrow_mut(|differences| {
         for index in blocks {
             let bytes = source.checked(index)?;

@@ -12,7 +12,7 @@ use weezl::decode::{Configuration, Decoder};
 use weezl::encode::Encoder;
 
 use super::{BadBlock, EncodedPage, Source, block_count, block_rows};
-use crate::textures::page::Texels;
+use crate::textures::page::{PixelFormat, Texels};
 
 thread_local! {
     static UNPACKER: RefCell<(Option<Decoder>, Vec<u8>)> = const { RefCell::new((None, Vec::new())) };
@@ -79,7 +79,7 @@ impl Running {
     pub fn go_on(&mut self, source: &Source<'_, '_>, blocks: Range<u32>, rows: Range<u32>, texels: &mut Texels) -> Result<(), BadBlock> {
         let mut plain = vec![0; rows.len() * source.shape.row_values() * source.shape.pixel.bytes()];
         read_on(&mut self.decoder, &mut self.read, source, blocks, rows.start, &mut plain)?;
-        append(&plain, texels);
+        append(&plain, source.shape.pixel, texels);
         Ok(())
     }
 }
@@ -115,7 +115,8 @@ fn read_on(
     Ok(())
 }
 
-fn append(plain: &[u8], texels: &mut Texels) {
+fn append(plain: &[u8], pixel: PixelFormat, texels: &mut Texels) {
+    texels.make_room(plain.len() / pixel.bytes());
     match texels {
         Texels::F32(v) => v.extend(plain.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b))),
         Texels::F16(v) => v.extend(plain.as_chunks::<2>().0.iter().map(|b| f16::from_le_bytes(*b))),
@@ -130,7 +131,7 @@ pub(super) fn unpack(source: &Source<'_, '_>, rows: &Range<u32>, texels: &mut Te
         decoder.reset();
         plain.resize(rows.end as usize * row_bytes, 0);
         read_on(decoder, &mut 0, source, source.codec.blocks_for(rows), 0, plain)?;
-        append(&plain[rows.start as usize * row_bytes..], texels);
+        append(&plain[rows.start as usize * row_bytes..], source.shape.pixel, texels);
         Ok(rows.start)
     })
 }

@@ -4,7 +4,7 @@ use std::fmt;
 use std::ops::Range;
 
 use super::{BadBlock, Block, Codec, Source, Texels, lzw_seq, page_of, zstd_seq};
-use crate::textures::page::{Page, PageShape, PixelFormat};
+use crate::textures::page::{Page, PageShape};
 
 /// A decoder behind a page's first rows.
 pub(in crate::textures) struct Stopped {
@@ -65,10 +65,7 @@ impl fmt::Debug for Stopped {
 /// The rows from where `stopped` is to `end` (a multiple of the codec's step, or the page's height), as a page of that height. After an error the
 /// decoder is of no use.
 pub(in crate::textures) fn decode_on(source: &Source<'_, '_>, stopped: &mut Stopped, end: u32) -> Result<Page, BadBlock> {
-    let mut texels = match source.shape.pixel {
-        PixelFormat::F32 => Texels::F32(Vec::new()),
-        PixelFormat::F16 => Texels::F16(Vec::new()),
-    };
+    let mut texels = Texels::none(source.shape.pixel);
     let blocks = stopped.blocks_up_to(source.table, end);
     match &mut stopped.decoder {
         Decoder::Lzw(running) => running.go_on(source, blocks, stopped.rows..end, &mut texels)?,

@@ -11,7 +11,7 @@ use std::ops::Range;
 use zstd::zstd_safe::CParameter;
 
 use super::{BLOCK_ROWS, BadBlock, EncodedPage, Layout, Source, ZSTD_LEVEL, block_count, block_rows};
-use super::{best_relation, join_planes, reserve_rows, split_rows};
+use super::{best_relation, join_planes, split_rows};
 use crate::textures::page::Texels;
 use crate::textures::planes::Relation;
 
@@ -60,7 +60,7 @@ pub(super) fn unpack(source: &Source<'_, '_>, rows: &Range<u32>, texels: &mut Te
     let shape = &source.shape;
     let blocks = source.codec.blocks_for(rows);
     let first = blocks.start * BLOCK_ROWS;
-    reserve_rows(shape, block_rows(shape, blocks.end - 1).end - first, texels);
+    texels.make_room((block_rows(shape, blocks.end - 1).end - first) as usize * shape.row_values());
     for index in blocks {
         let bytes = source.checked(index)?;
         let plane_bytes = block_rows(shape, index).len() * shape.row_values();

@@ -7,7 +7,7 @@ use std::ops::Range;
 use zstd::stream::raw::{Decoder, InBuffer, Operation, OutBuffer};
 use zstd::stream::write::Encoder;
 
-use super::{BadBlock, EncodedPage, Source, ZSTD_LEVEL, block_count, block_rows, join_planes, reserve_rows, split_rows};
+use super::{BadBlock, EncodedPage, Source, ZSTD_LEVEL, block_count, block_rows, join_planes, split_rows};
 use crate::textures::page::{PageShape, Texels};
 use crate::textures::planes::Relation;
 
@@ -71,7 +71,7 @@ fn read_on(
     texels: &mut Texels,
 ) -> Result<(), BadBlock> {
     let shape = &source.shape;
-    reserve_rows(shape, block_rows(shape, blocks.end - 1).end - first * super::BLOCK_ROWS, texels);
+    texels.make_room((block_rows(shape, blocks.end - 1).end - first * super::BLOCK_ROWS) as usize * shape.row_values());
     for index in blocks {
         let bytes = source.checked(index)?;
         planes.resize(block_rows(shape, index).len() * shape.row_values() * shape.pixel.bytes(), 0);
