@@ -12,6 +12,7 @@ mod downloads;
 mod environments;
 mod exposure;
 mod fits;
+mod fuzz;
 mod grpc_web;
 mod killed;
 mod larger_than_memory;

@@ -19,7 +19,11 @@ use tonic::{Code, Status};
 use tonic_types::{ErrorDetails, StatusExt};
 
 pub use crate::wire::proto::ErrorReason as Reason;
-use crate::wire::{ERROR_DOMAIN, reason_name};
+use crate::wire::{ERROR_DOMAIN, clipped_to, reason_name};
+
+/// Of a text that goes to the caller. An error travels in headers, where clients take 16 KiB: a message goes in twice, once with three bytes
+/// for each that is not ASCII, and may be a field's description, too.
+const MAX_CHARS: usize = 400;
 
 /// What the caller is told. Made once, at the place that knows the reason; turned into a `Status` at the edge.
 #[derive(Debug, Clone, PartialEq)]
@@ -292,15 +296,16 @@ impl From<ThinningError> for ApiError {
 impl From<ApiError> for Status {
     fn from(error: ApiError) -> Self {
         let code = error.code();
-        let metadata: HashMap<String, String> = error.metadata.into_iter().collect();
+        let clipped = |text: String| clipped_to(&text, MAX_CHARS);
+        let metadata: HashMap<String, String> = error.metadata.into_iter().map(|(key, value)| (key, clipped(value))).collect();
         let mut details = ErrorDetails::with_error_info(reason_name(error.reason), ERROR_DOMAIN, metadata);
         if let Some(delay) = retry_after(error.reason) {
             details.set_retry_info(Some(delay));
         }
         for violation in error.violations {
-            details.add_bad_request_violation(violation.field, violation.description);
+            details.add_bad_request_violation(clipped(violation.field), clipped(violation.description));
         }
-        Self::with_error_details(code, error.message, details)
+        Self::with_error_details(code, clipped(error.message), details)
     }
 }
 
@@ -321,6 +326,17 @@ mod tests {
         assert_eq!(info.metadata["limit"], "3");
         let violation = &details.bad_request().unwrap().field_violations[0];
         assert_eq!((violation.field.as_str(), violation.description.as_str()), ("Camera.pose", "missing, a rigid pose expected"));
+    }
+
+    /// Twelve bytes of a header for each of these characters.
+    #[test]
+    fn an_error_fits_into_the_headers_that_clients_take_however_long_its_words_are() {
+        let long = "\u{1f4a1}".repeat(10_000);
+        let status = Status::from(ApiError::field("name", &long).with("name", &long));
+        let headers = status.clone().into_http::<()>().headers().clone();
+        let bytes: usize = headers.iter().map(|(name, value)| name.as_str().len() + value.len() + 32).sum();
+        assert!(bytes < 16 << 10, "{bytes} bytes");
+        assert!(status.message().starts_with("name: \u{1f4a1}") && status.message().ends_with('…'));
     }
 
     #[test]

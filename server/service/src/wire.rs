@@ -117,7 +117,12 @@ pub fn timeout(metadata: &tonic::metadata::MetadataMap) -> Option<Duration> {
 
 /// So much of a foreign text as a message may repeat.
 pub fn clipped(text: &str) -> String {
-    match text.char_indices().nth(80) {
+    clipped_to(text, 80)
+}
+
+/// So many characters of a text.
+pub fn clipped_to(text: &str, chars: usize) -> String {
+    match text.char_indices().nth(chars) {
         Some((end, _)) => format!("{}…", &text[..end]),
         None => text.into(),
     }
