@@ -279,8 +279,7 @@ impl Live {
         if protocol == Protocol::Kitty {
             screen.has_pictures();
         }
-        let news = "waiting for the first frame".into();
-        let asked = Instant::now();
+        let (asked, news) = (Instant::now(), String::new());
         Ok(Self { interaction, screen, protocol, answers, cells: cells(), steering, title, pose_id: 0, asked, news })
     }
 
@@ -288,8 +287,8 @@ impl Live {
         let mut ends = Ends::listen()?;
         let mut events = events();
         self.screen.clear()?;
-        self.show(&[])?;
         self.look().await;
+        self.show(&[])?;
         loop {
             tokio::select! {
                 () = ends.come() => return Err(Failure::Interrupted { note: None }.into()),
@@ -343,6 +342,8 @@ impl Live {
     async fn look(&mut self) {
         self.pose_id += 1;
         self.asked = Instant::now();
+        // What was said of the last pose does not hold for this one.
+        self.news = "moving".into();
         let camera = self.steering.view().camera(self.protocol.frame_size(self.area()));
         self.interaction.look(self.pose_id, camera).await;
     }

@@ -25,7 +25,7 @@ pub struct Answers {
     /// Width and height of a cell.
     pub cell_px: Option<(u32, u32)>,
     /// The last question is answered.
-    is_complete: bool,
+    pub is_complete: bool,
 }
 
 /// Asks. The terminal must be raw, and nobody else may read its input meanwhile. One that says nothing can do nothing.

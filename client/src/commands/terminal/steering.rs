@@ -233,7 +233,7 @@ mod tests {
         assert_eq!((after(&[KeyCode::Up]).target, after(&[KeyCode::Up]).distance), (home.target, home.distance));
         assert_eq!(after(&[KeyCode::Up; 18]).elevation_deg, 90.0);
         let mut there = steering();
-        (0..18).for_each(|_| drop(there.take(&key(KeyCode::Up), SIZE, CELL_PX)));
+        (0..18).for_each(|_| assert_eq!(there.take(&key(KeyCode::Up), SIZE, CELL_PX), Reaction::Moved));
         assert_eq!(there.take(&key(KeyCode::Up), SIZE, CELL_PX), Reaction::Nothing);
     }
 
@@ -257,7 +257,9 @@ mod tests {
     #[test]
     fn the_distance_has_bounds() {
         let mut steering = steering();
-        (0..200).for_each(|_| drop(steering.take(&key(KeyCode::Char('+')), SIZE, CELL_PX)));
+        let times = (0..200).take_while(|_| steering.take(&key(KeyCode::Char('+')), SIZE, CELL_PX) == Reaction::Moved).count();
+        // 2 · 0.9ⁿ reaches 0.02 radii.
+        assert_eq!(times, 44);
         assert!((steering.view().distance - 0.02 * 3f32.sqrt()).abs() < 1e-6);
         assert_eq!(steering.take(&key(KeyCode::Char('+')), SIZE, CELL_PX), Reaction::Nothing);
     }
