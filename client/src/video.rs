@@ -238,6 +238,9 @@ mod tests {
     #[test]
     fn a_frame_of_another_size_is_refused() {
         let mut video = VideoWriter::new(Vec::new(), (2, 2), "1".parse().unwrap(), LIMITED).unwrap();
-        assert!(video.write(&Rgb8::filled(2, 1, [0; 3])).is_err());
+        for (width, height) in [(2, 1), (1, 2), (4, 1)] {
+            let problem = video.write(&Rgb8::filled(width, height, [0; 3])).unwrap_err().to_string();
+            assert_eq!(problem, format!("a frame of {width}x{height} in a video of 2x2"));
+        }
     }
 }

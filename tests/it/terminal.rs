@@ -341,6 +341,9 @@ fn of_sixel(bytes: &[u8]) -> Picture {
 /// The mean difference that 256 colours make, each rounded to a hundredth (0.6 codes in the mean), the error diffused.
 const PALETTE: f32 = 6.0;
 
+/// A picture from an azimuth.
+type Printed<'a> = &'a dyn Fn(&str) -> Picture;
+
 #[test]
 fn one_picture_is_printed_to_a_pipe_in_every_protocol() {
     let (folder, server) = with_dataset();
@@ -354,7 +357,7 @@ fn one_picture_is_printed_to_a_pipe_in_every_protocol() {
         emulator.process(text.replace('\n', "\r\n").as_bytes());
         assert_eq!(emulator.screen().cursor_position(), (12, 0));
         let cell = |at: usize, column: u16| emulator.screen().cell(at as u16 / 2, column).unwrap().clone();
-        let ground = |at: usize, column: u16| if at % 2 == 0 { cell(at, column).fgcolor() } else { cell(at, column).bgcolor() };
+        let ground = |at: usize, column: u16| if at.is_multiple_of(2) { cell(at, column).fgcolor() } else { cell(at, column).bgcolor() };
         let pixels = (0..24).flat_map(|row| (0..60).map(move |column| (row, column))).map(|(row, column)| match ground(row, column) {
             Color::Rgb(r, g, b) => [r, g, b].map(f32::from),
             other => panic!("{other:?}"),
@@ -363,8 +366,7 @@ fn one_picture_is_printed_to_a_pipe_in_every_protocol() {
     };
     let kitty = |azimuth: &str| Picture::of_png(&of_kitty(printed("kitty", azimuth).as_bytes())[0]);
     let sixel = |azimuth: &str| of_sixel(printed("sixel", azimuth).trim_end().as_bytes());
-    let cases: [(&dyn Fn(&str) -> Picture, &str, f32); 3] =
-        [(&half_blocks, "60x24", SAME), (&kitty, "480x192", SAME), (&sixel, "480x192", PALETTE)];
+    let cases: [(Printed<'_>, &str, f32); 3] = [(&half_blocks, "60x24", SAME), (&kitty, "480x192", SAME), (&sixel, "480x192", PALETTE)];
     for (picture, size, bound) in cases {
         for azimuth in ["0", "40"] {
             let (other, picture) = (if azimuth == "0" { "40" } else { "0" }, picture(azimuth));
