@@ -109,7 +109,7 @@ pub fn file_contents(frame: &wire::Frame) -> impl Iterator<Item = &bytes::Bytes>
 /// Where frames come from.
 enum FrameSource<'a> {
     Unary { context: &'a Context, client: RenderingClient<Channel>, template: wire::RenderFrameRequest },
-    Stream(Box<Interaction>),
+    Stream(Interaction),
 }
 
 impl<'a> FrameSource<'a> {
@@ -123,7 +123,7 @@ impl<'a> FrameSource<'a> {
         }
         // Every frame is kept: none shall be smaller for having moved.
         let open = wire::OpenInteraction { dataset, version, settings, output, credits: CREDITS, moving_frames_per_second: 0.0 };
-        Ok(Self::Stream(Box::new(Interaction::open(context, server, open).await?)))
+        Ok(Self::Stream(Interaction::open(context, server, open).await?))
     }
 
     /// The frame of this camera; `pose_id` from 1, increasing.
