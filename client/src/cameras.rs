@@ -124,10 +124,15 @@ pub fn look_at(position: glam::Vec3, target: glam::Vec3, up: glam::Vec3) -> anyh
     Ok(pose_to_wire(&pose))
 }
 
+/// From a position and the axes right, up, backward.
+pub fn rigid(position: glam::Vec3, [right, up, backward]: [glam::Vec3; 3]) -> wire::Pose {
+    let vector = |v: glam::Vec3| Some(wire::Vector3 { x: v.x, y: v.y, z: v.z });
+    wire::Pose { position: vector(position), right: vector(right), up: vector(up), backward: vector(backward) }
+}
+
 fn pose_to_wire(pose: &Pose) -> wire::Pose {
     let axes = pose.rotation();
-    let axis = |v: glam::Vec3| Some(wire::Vector3 { x: v.x, y: v.y, z: v.z });
-    wire::Pose { position: axis(pose.position()), right: axis(axes.x_axis), up: axis(axes.y_axis), backward: axis(axes.z_axis) }
+    rigid(pose.position(), [axes.x_axis, axes.y_axis, axes.z_axis])
 }
 
 fn camera_to_wire(camera: &Camera) -> wire::Camera {
@@ -143,7 +148,8 @@ fn camera_to_wire(camera: &Camera) -> wire::Camera {
     wire::Camera { pose: Some(pose_to_wire(camera.pose())), intrinsics: Some(intrinsics) }
 }
 
-fn vec3(v: wire::Vector3) -> glam::Vec3 {
+/// As glam has it.
+pub fn vec3(v: wire::Vector3) -> glam::Vec3 {
     glam::Vec3::new(v.x, v.y, v.z)
 }
 

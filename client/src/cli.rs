@@ -53,6 +53,10 @@ pub enum Command {
     Job(commands::job::Command),
     /// Render frames into a folder
     Render(Box<commands::render::Arguments>),
+    /// Film a path: frames in order into a folder, a video file or a pipe
+    Stream(Box<commands::stream::Arguments>),
+    /// Look at a dataset live, in this terminal
+    Watch(Box<commands::terminal::Arguments>),
     /// Compare frames with path-traced truth at held-out poses and print the errors
     Evaluate(Box<commands::evaluate::Arguments>),
     /// Lens and poses of photographs of a flat surface, for `job submit import`
@@ -94,7 +98,9 @@ mod tests {
         for (line, code) in
             [("--dataset d", 0), ("--choose s --max-error 1", 0), ("", 2), ("--dataset d --choose s", 2), ("--choose s --blend angle", 2)]
         {
-            assert_eq!(exit_code(format!("lumisphere render --out o {line}").trim_end()), code, "{line}");
+            for command in ["render", "stream"] {
+                assert_eq!(exit_code(format!("lumisphere {command} --out o {line}").trim_end()), code, "{command} {line}");
+            }
         }
     }
 }

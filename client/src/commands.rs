@@ -9,7 +9,9 @@ pub mod evaluate;
 pub mod job;
 pub mod load;
 pub mod render;
+pub mod stream;
 pub mod system;
+pub mod terminal;
 mod watch;
 
 use clap::CommandFactory;
@@ -24,6 +26,8 @@ pub async fn run(command: Command, context: &Context) -> anyhow::Result<()> {
         Command::Blob(command) => blob::run(command, context).await,
         Command::Job(command) => job::run(command, context).await,
         Command::Render(arguments) => render::run(&arguments, context).await,
+        Command::Stream(arguments) => stream::run(&arguments, context).await,
+        Command::Watch(arguments) => terminal::run(&arguments, context).await,
         Command::Evaluate(arguments) => evaluate::run(&arguments, context).await,
         Command::Calibrate(command) => calibrate::run(&command, context),
         Command::Load(arguments) => load::run(&arguments, context).await,

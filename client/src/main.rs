@@ -12,6 +12,7 @@ mod contact_sheet;
 mod context;
 mod exit;
 mod files;
+mod interaction;
 mod output;
 mod photographs;
 mod progress;
@@ -19,7 +20,9 @@ mod render_settings;
 mod scene_source;
 mod sections;
 mod sweep_file;
+mod target;
 mod upload;
+mod video;
 mod viewer_path;
 mod views;
 

@@ -134,20 +134,7 @@ impl Server {
 
     /// Waits for the end.
     pub fn ended(&mut self) -> ExitStatus {
-        let id = self.child.id();
-        // A watchdog rather than a poll: it only ever acts on a server that hangs.
-        let (done, hung) = mpsc::channel::<()>();
-        let watchdog = thread::spawn(move || {
-            if hung.recv_timeout(PATIENCE) == Err(mpsc::RecvTimeoutError::Timeout) {
-                let _ = Command::new("sh").args(["-c", &format!("kill -KILL {id}")]).status();
-                return true;
-            }
-            false
-        });
-        let status = self.child.wait().expect("the child is ours");
-        drop(done);
-        assert!(!watchdog.join().expect("the watchdog does not panic"), "the server hung:\n{}", self.log_text());
-        status
+        ended(&mut self.child).unwrap_or_else(|| panic!("the server hung:\n{}", self.log_text()))
     }
 
     /// The command line against this server.
@@ -220,8 +207,31 @@ impl Drop for Server {
     }
 }
 
+/// Waits for a child's end; None if it hung and was killed.
+pub fn ended(child: &mut Child) -> Option<ExitStatus> {
+    let id = child.id();
+    // A watchdog rather than a poll: it only ever acts on a child that hangs.
+    let (done, hung) = mpsc::channel::<()>();
+    let watchdog = thread::spawn(move || {
+        if hung.recv_timeout(PATIENCE) == Err(mpsc::RecvTimeoutError::Timeout) {
+            let _ = Command::new("sh").args(["-c", &format!("kill -KILL {id}")]).status();
+            return true;
+        }
+        false
+    });
+    let status = child.wait().expect("the child is ours");
+    drop(done);
+    (!watchdog.join().expect("the watchdog does not panic")).then_some(status)
+}
+
+/// Sends a signal: "INT", "TERM".
+pub fn signal(child: &Child, name: &str) {
+    let sent = Command::new("sh").args(["-c", &format!("kill -{name} {}", child.id())]).status().expect("sh runs");
+    assert!(sent.success(), "the child has ended already");
+}
+
 /// Nothing of the caller's own configuration.
-fn without_settings(command: &mut Command) {
+pub fn without_settings(command: &mut Command) {
     for (name, _) in std::env::vars_os().filter(|(name, _)| name.to_string_lossy().starts_with("LUMISPHERE_")) {
         command.env_remove(name);
     }

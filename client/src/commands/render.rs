@@ -7,24 +7,19 @@ use anyhow::Context as _;
 use clap::Args;
 use lumisphere_proto::v1alpha1 as wire;
 use serde_json::json;
-use tokio::sync::mpsc;
-use tokio_stream::wrappers::ReceiverStream;
 use tonic::transport::Channel;
-use tonic::{Code, Status, Streaming};
-use tonic_types::{ErrorDetails, StatusExt};
-use wire::interact_request::Message as Up;
-use wire::interact_response::Message as Down;
 use wire::rendering_client::RenderingClient;
 
 use crate::cameras::{CameraFlags, Named};
-use crate::choose_flags::ChooseFlags;
 use crate::contact_sheet::contact_sheet;
 use crate::context::{Context, Server};
 use crate::exit::Failure;
 use crate::files::{Existing, prepare_folder, write_atomically};
+use crate::interaction::{Interaction, Wanted};
 use crate::output::bytes_text;
 use crate::progress::{Meter, Progress};
 use crate::render_settings::{Format, OutputFlags, SettingsFlags};
+use crate::target::{Target, TargetFlags, alone_or_chosen};
 use crate::views;
 
 /// The contact sheet's file name.
@@ -36,14 +31,8 @@ const CREDITS: u32 = 2;
 #[derive(Debug, Args)]
 #[command(mut_args(alone_or_chosen))]
 pub struct Arguments {
-    /// Dataset to render
-    #[arg(long, value_name = "NAME", required_unless_present = "choose", conflicts_with = "choose")]
-    dataset: Option<String>,
-    /// Which version [default: the latest]
-    #[arg(long, default_value_t = 0, hide_default_value = true, conflicts_with = "choose")]
-    version: u64,
     #[command(flatten)]
-    choose: ChooseFlags,
+    target: TargetFlags,
     #[command(flatten)]
     cameras: CameraFlags,
     #[command(flatten)]
@@ -61,40 +50,14 @@ pub struct Arguments {
     stream: bool,
 }
 
-/// What a chosen row says is not said by flags, too.
-fn alone_or_chosen(argument: clap::Arg) -> clap::Arg {
-    let is_of_row = ["component", "blend", "specular", "filter", "backend", "brdf", "directions"].contains(&argument.get_id().as_str());
-    if is_of_row { argument.conflicts_with("choose") } else { argument }
-}
-
-/// What is rendered, and how.
-struct Target {
-    dataset: String,
-    version: u64,
-    // As the dataset's kind shows by default where flags do not say.
-    settings: Option<wire::RenderSettings>,
-}
-
-impl Target {
-    fn of(arguments: &Arguments, context: &Context) -> anyhow::Result<Self> {
-        let Some(chosen) = arguments.choose.chosen()? else {
-            let (dataset, version) = (arguments.dataset.clone().unwrap_or_default(), arguments.version);
-            return Ok(Self { dataset, version, settings: None });
-        };
-        context.output.say(&format!("chosen: {} of dataset {}", chosen.label, chosen.row.dataset));
-        let settings = Some(chosen.settings()?);
-        Ok(Self { dataset: chosen.row.dataset, version: chosen.row.version, settings })
-    }
-}
-
 /// Renders all cameras.
 pub async fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<()> {
-    let mut target = Target::of(arguments, context)?;
+    let mut target = arguments.target.target(context)?;
     let server = context.connect().await?;
     let (version, kind) = version_of(context, &server, &target.dataset, target.version).await?;
     target.settings.get_or_insert_with(|| arguments.settings.to_wire(&kind));
     let cameras = arguments.cameras.cameras(version.object_bounds.as_ref())?;
-    let names = file_names(cameras.len(), &arguments.output);
+    let names: Vec<_> = (0..cameras.len() as u64).map(|index| file_names(index, &arguments.output)).collect();
     let existing = Existing::from_force(arguments.force);
     prepare_folder(&arguments.out, names.iter().flatten().cloned().chain([CONTACT_SHEET.into()]), existing)?;
 
@@ -106,7 +69,7 @@ pub async fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<()>
         let started = Instant::now();
         let frame = source.frame(index as u64 + 1, camera).await.with_context(|| format!("frame {index}"))?;
         let round_trip = started.elapsed();
-        for (name, bytes) in names.iter().zip([&frame.color, &frame.depth, &frame.provenance].into_iter().filter(|b| !b.is_empty())) {
+        for (name, bytes) in names.iter().zip(file_contents(&frame)) {
             write_atomically(&arguments.out.join(name), bytes, existing)?;
         }
         let view = frame_view(index, &camera.0, arguments.out.join(&names[0]).display().to_string(), &frame, round_trip);
@@ -132,34 +95,35 @@ pub async fn version_of(context: &Context, server: &Server, name: &str, version:
     Ok((found, dataset.kind))
 }
 
-/// For each frame: colour, then depth and provenance where asked for.
-fn file_names(count: usize, output: &OutputFlags) -> Vec<Vec<String>> {
+/// Of one frame: colour, then depth and provenance where asked for.
+pub fn file_names(index: u64, output: &OutputFlags) -> Vec<String> {
     let endings = [(true, output.format.extension()), (output.depth, "depth.zst"), (output.provenance, "provenance.zst")];
-    let names = |index| endings.iter().filter(|(wanted, _)| *wanted).map(|(_, ending)| format!("frame-{index:05}.{ending}")).collect();
-    (0..count).map(names).collect()
+    endings.iter().filter(|(wanted, _)| *wanted).map(|(_, ending)| format!("frame-{index:05}.{ending}")).collect()
+}
+
+/// The bytes that belong to `file_names`, in their order.
+pub fn file_contents(frame: &wire::Frame) -> impl Iterator<Item = &bytes::Bytes> {
+    [&frame.color, &frame.depth, &frame.provenance].into_iter().filter(|bytes| !bytes.is_empty())
 }
 
 /// Where frames come from.
 enum FrameSource<'a> {
     Unary { context: &'a Context, client: RenderingClient<Channel>, template: wire::RenderFrameRequest },
-    Stream { up: mpsc::Sender<wire::InteractRequest>, down: Streaming<wire::InteractResponse> },
+    Stream(Interaction),
 }
 
 impl<'a> FrameSource<'a> {
     async fn open(arguments: &Arguments, target: &Target, context: &'a Context, server: &Server, version: u64) -> anyhow::Result<Self> {
         let (settings, output) = (target.settings.clone(), Some(arguments.output.to_wire()));
         let dataset = target.dataset.clone();
-        let mut client = server.rendering();
         if !arguments.stream {
+            let client = server.rendering();
             let template = wire::RenderFrameRequest { dataset, version, camera: None, settings, output, pose_id: 0 };
             return Ok(Self::Unary { context, client, template });
         }
-        let (up, messages) = mpsc::channel(4);
         // Every frame is kept: none shall be smaller for having moved.
         let open = wire::OpenInteraction { dataset, version, settings, output, credits: CREDITS, moving_frames_per_second: 0.0 };
-        send(&up, Up::Open(open)).await?;
-        let down = client.interact(context.patient_request(ReceiverStream::new(messages))).await?.into_inner();
-        Ok(Self::Stream { up, down })
+        Ok(Self::Stream(Interaction::open(context, server, open).await?))
     }
 
     /// The frame of this camera; `pose_id` from 1, increasing.
@@ -169,45 +133,20 @@ impl<'a> FrameSource<'a> {
                 let request = wire::RenderFrameRequest { camera: Some(camera.1), pose_id, ..template.clone() };
                 Ok(client.render_frame(context.request(request)).await?.into_inner())
             }
-            Self::Stream { up, down } => {
-                // If the server has gone, the answer says why; a failed send does not.
-                let _ = send(up, Up::Pose(wire::PoseUpdate { pose_id, camera: Some(camera.1) })).await;
-                let frame = streamed_frame(down, pose_id).await?;
-                let _ = send(up, Up::Acknowledge(wire::FrameAcknowledgement { frame_id: frame.frame_id })).await;
-                Ok(frame)
+            Self::Stream(interaction) => {
+                interaction.look(pose_id, camera.1).await;
+                interaction.frame(pose_id, Wanted::Final).await
             }
         }
     }
 
     /// Half-closes a stream and waits for the server's end of it.
     async fn close(self) -> anyhow::Result<()> {
-        if let Self::Stream { up, mut down } = self {
-            drop(up);
-            while down.message().await?.is_some() {}
-        }
-        Ok(())
-    }
-}
-
-async fn send(up: &mpsc::Sender<wire::InteractRequest>, message: Up) -> anyhow::Result<()> {
-    up.send(wire::InteractRequest { message: Some(message) }).await.context("the stream is closed")
-}
-
-async fn streamed_frame(down: &mut Streaming<wire::InteractResponse>, pose_id: u64) -> anyhow::Result<wire::Frame> {
-    loop {
-        let response = down.message().await?.context("the server ended the stream")?;
-        match response.message {
-            Some(Down::Frame(frame)) if frame.pose_id == pose_id => return Ok(frame),
-            Some(Down::Status(status)) => return Err(status_error(status).into()),
-            Some(Down::Opened(_) | Down::Frame(_)) | None => {}
+        match self {
+            Self::Unary { .. } => Ok(()),
+            Self::Stream(interaction) => interaction.close().await,
         }
     }
-}
-
-/// The same error that a unary call would give.
-fn status_error(status: wire::InteractStatus) -> Status {
-    let details = ErrorDetails::with_error_info(status.reason, lumisphere_proto::ERROR_DOMAIN, [] as [(String, String); 0]);
-    Status::with_error_details(Code::from_i32(status.code), status.message, details)
 }
 
 fn frame_view(index: usize, camera: &str, file: String, frame: &wire::Frame, round_trip: Duration) -> views::Frame {
@@ -265,13 +204,6 @@ mod tests {
     #[test]
     fn files_are_numbered_and_named_by_what_they_hold() {
         let output = OutputFlags { format: Format::Exr, jpeg_quality: 90, exposure_stops: 0.0, gamma: 0.0, depth: true, provenance: false };
-        assert_eq!(file_names(2, &output), [["frame-00000.exr", "frame-00000.depth.zst"], ["frame-00001.exr", "frame-00001.depth.zst"]]);
-    }
-
-    #[test]
-    fn a_status_in_a_stream_has_the_exit_code_of_the_same_status_alone() {
-        let status =
-            wire::InteractStatus { code: Code::InvalidArgument as i32, reason: "FIELD_INVALID".into(), message: "no".into(), pose_id: 1 };
-        assert_eq!(crate::exit::code(&status_error(status).into()), 2);
+        assert_eq!(file_names(1, &output), ["frame-00001.exr", "frame-00001.depth.zst"]);
     }
 }

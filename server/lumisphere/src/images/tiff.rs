@@ -24,3 +24,41 @@ fn integers(bytes: &[u8], limits: ReadLimits) -> Result<image::DynamicImage, Ima
         _ => Ok(image),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::io::Cursor;
+
+    use image::codecs::tiff::TiffEncoder;
+    use image::{ExtendedColorType, ImageEncoder};
+
+    use super::*;
+
+    /// Two pixels.
+    fn tiff(samples: &[u8], color: ExtendedColorType) -> Vec<u8> {
+        let mut bytes = Cursor::new(Vec::new());
+        TiffEncoder::new(&mut bytes).write_image(samples, 2, 1, color).unwrap();
+        bytes.into_inner()
+    }
+
+    #[test]
+    fn codes_are_those_of_the_file_and_16_bits_are_rounded() {
+        let codes = [0, 1, 127, 128, 254, 255];
+        let read = |bytes: &[u8]| decode_tiff_codes(bytes, ReadLimits::SCENE).unwrap().bytes;
+        assert_eq!(read(&tiff(&codes, ExtendedColorType::Rgb8)), codes);
+        // 257 steps of 16 bits are one of 8: 128 is over the half.
+        let finer: Vec<u8> = [0_u16, 128, 129, 257, 65_535, 65_406].iter().flat_map(|code| code.to_ne_bytes()).collect();
+        assert_eq!(read(&tiff(&finer, ExtendedColorType::Rgb16)), [0, 0, 1, 1, 255, 254]);
+    }
+
+    #[test]
+    fn floating_point_samples_are_refused() {
+        for (color, channels) in [(ExtendedColorType::Rgb32F, 3), (ExtendedColorType::Rgba32F, 4)] {
+            let bytes = tiff(&0.5_f32.to_ne_bytes().repeat(2 * channels), color);
+            for error in [decode_tiff(&bytes, ReadLimits::SCENE).err(), decode_tiff_codes(&bytes, ReadLimits::SCENE).err()] {
+                let told = error.map(|error| error.to_string()).unwrap_or_default();
+                assert!(told.contains("floating-point samples"), "{color:?}: {told:?}");
+            }
+        }
+    }
+}

@@ -204,6 +204,17 @@ mod tests {
         worst
     }
 
+    /// Their steps are of one bin.
+    #[test]
+    fn of_texels_that_are_alike_no_more_are_reduced_than_has_to_be() {
+        let texels: Vec<FittedTexel> =
+            (0..100).map(|index| FittedTexel { index, samples: 30, rungs: vec![rung(1, 2.0), rung(4, 1.0)] }).collect();
+        let savings = savings(&texels);
+        for (quads, taken) in [(400, 400), (399, 397), (397, 397), (251, 250), (101, 100), (100, 100)] {
+            assert_eq!(kept(&texels, savings.keeping(quads)), (taken, 100.0 + (400 - taken) as f64 / 3.0), "{quads}");
+        }
+    }
+
     #[test]
     fn texels_reduced_at_random_leave_more() {
         let mut rng = Pcg32::seed_from_u64(11);

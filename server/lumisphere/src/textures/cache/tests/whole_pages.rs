@@ -176,6 +176,8 @@ fn peaks_are_kept_apart_until_they_are_forgotten() {
     ask(&cache, 0);
     // The largest page has left for the others, the first of these for the last.
     assert_eq!(peaks(), (vec![bytes(23), bytes(0) + bytes(1)], bytes(23)));
+    let evictions: Vec<_> = cache.snapshot().versions.iter().map(|v| v.decoded.evictions).collect();
+    assert_eq!(evictions, [1, 1]);
     let held = (vec![bytes(0), bytes(1)], bytes(0) + bytes(1));
     cache.forget_peaks();
     assert_eq!(peaks(), held);

@@ -1,0 +1,118 @@
+//! An `Interact` stream as its viewer sees it: poses up, frames down, a credit given back for each. `render --stream`, `stream` and `watch` use it.
+
+use anyhow::Context as _;
+use lumisphere_proto::v1alpha1 as wire;
+use tokio::sync::mpsc;
+use tokio_stream::wrappers::ReceiverStream;
+use tonic::{Code, Status, Streaming};
+use tonic_types::{ErrorDetails, StatusExt};
+use wire::interact_request::Message as Up;
+use wire::interact_response::Message as Down;
+
+use crate::context::{Context, Server};
+use crate::exit::Failure;
+
+/// Messages on their way up; a viewer who sends more waits.
+const OUTBOX: usize = 4;
+
+/// An open stream; dropping it ends it.
+pub struct Interaction {
+    up: mpsc::Sender<wire::InteractRequest>,
+    down: Streaming<wire::InteractResponse>,
+}
+
+/// What a viewer hears.
+#[derive(Debug)]
+pub enum Answer {
+    /// Not acknowledged yet.
+    Frame(Box<wire::Frame>),
+    /// A message was refused or a frame failed; the stream goes on.
+    Refused(Status),
+}
+
+/// Which frame of a pose is the one.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Wanted {
+    /// None better follows.
+    Final,
+    /// Coarse levels may stand in for pages that are on their way.
+    First,
+}
+
+impl Interaction {
+    /// The server answers a bad opening with the first `next`.
+    pub async fn open(context: &Context, server: &Server, open: wire::OpenInteraction) -> anyhow::Result<Self> {
+        let (up, messages) = mpsc::channel(OUTBOX);
+        let _ = up.send(wire::InteractRequest { message: Some(Up::Open(open)) }).await;
+        let down = server.rendering().interact(context.patient_request(ReceiverStream::new(messages))).await?.into_inner();
+        Ok(Self { up, down })
+    }
+
+    /// Looks from here from now on. `pose_id` from 1, increasing.
+    pub async fn look(&self, pose_id: u64, camera: wire::Camera) {
+        self.send(Up::Pose(wire::PoseUpdate { pose_id, camera: Some(camera) })).await;
+    }
+
+    /// Gives back the credits of this frame and all before it.
+    pub async fn acknowledge(&self, frame: &wire::Frame) {
+        self.send(Up::Acknowledge(wire::FrameAcknowledgement { frame_id: frame.frame_id })).await;
+    }
+
+    /// If the server has gone, the next answer says why; a failed send does not.
+    async fn send(&self, message: Up) {
+        let _ = self.up.send(wire::InteractRequest { message: Some(message) }).await;
+    }
+
+    /// What comes next. Cancelled, nothing is lost.
+    pub async fn next(&mut self) -> anyhow::Result<Answer> {
+        loop {
+            let ended = || Failure::Unavailable("the server ended the stream".into());
+            match self.down.message().await?.ok_or_else(ended)?.message {
+                Some(Down::Frame(frame)) => return Ok(Answer::Frame(Box::new(frame))),
+                Some(Down::Status(status)) => return Ok(Answer::Refused(status_of(status))),
+                Some(Down::Opened(_)) | None => {}
+            }
+        }
+    }
+
+    /// The frame of this pose, acknowledged; those before it are acknowledged and dropped.
+    pub async fn frame(&mut self, pose_id: u64, wanted: Wanted) -> anyhow::Result<wire::Frame> {
+        loop {
+            match self.next().await? {
+                Answer::Refused(status) => return Err(status.into()),
+                Answer::Frame(frame) => {
+                    self.acknowledge(&frame).await;
+                    if frame.pose_id == pose_id && (frame.is_final || wanted == Wanted::First) {
+                        return Ok(*frame);
+                    }
+                }
+            }
+        }
+    }
+
+    /// Half-closes and waits for the server's end of the stream.
+    pub async fn close(self) -> anyhow::Result<()> {
+        let Self { up, mut down } = self;
+        drop(up);
+        while down.message().await.context("at the end of the stream")?.is_some() {}
+        Ok(())
+    }
+}
+
+/// The same error that a unary call would give.
+fn status_of(status: wire::InteractStatus) -> Status {
+    let details = ErrorDetails::with_error_info(status.reason, lumisphere_proto::ERROR_DOMAIN, [] as [(String, String); 0]);
+    Status::with_error_details(Code::from_i32(status.code), status.message, details)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_status_in_a_stream_has_the_exit_code_of_the_same_status_alone() {
+        let status =
+            wire::InteractStatus { code: Code::InvalidArgument as i32, reason: "FIELD_INVALID".into(), message: "no".into(), pose_id: 1 };
+        assert_eq!(crate::exit::code(&status_of(status).into()), 2);
+    }
+}
