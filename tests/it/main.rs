@@ -26,6 +26,7 @@ mod prefetch;
 mod process;
 mod rules;
 mod sessions;
+mod stills;
 mod stopping;
 mod sweep;
 mod system;

@@ -14,6 +14,8 @@ use tonic::{Code, Status, Streaming};
 use tonic_types::{ErrorDetails, StatusExt};
 use wire::interact_request::Message as Up;
 use wire::interact_response::Message as Down;
+use wire::offset_surface_light_field_settings::Component;
+use wire::render_settings::Representation;
 use wire::rendering_client::RenderingClient;
 
 use crate::cameras::{CameraFlags, Named};
@@ -63,7 +65,8 @@ pub struct Arguments {
 
 /// What a chosen row says is not said by flags, too.
 fn alone_or_chosen(argument: clap::Arg) -> clap::Arg {
-    let is_of_row = ["component", "blend", "specular", "filter", "backend", "brdf", "directions"].contains(&argument.get_id().as_str());
+    let is_of_row =
+        ["component", "blend", "specular", "filter", "backend", "brdf", "directions", "passes"].contains(&argument.get_id().as_str());
     if is_of_row { argument.conflicts_with("choose") } else { argument }
 }
 
@@ -142,7 +145,7 @@ fn file_names(count: usize, output: &OutputFlags) -> Vec<Vec<String>> {
 /// Where frames come from.
 enum FrameSource<'a> {
     Unary { context: &'a Context, client: RenderingClient<Channel>, template: wire::RenderFrameRequest },
-    Stream { up: mpsc::Sender<wire::InteractRequest>, down: Streaming<wire::InteractResponse> },
+    Stream { up: mpsc::Sender<wire::InteractRequest>, down: Streaming<wire::InteractResponse>, passes: u32 },
 }
 
 impl<'a> FrameSource<'a> {
@@ -154,12 +157,13 @@ impl<'a> FrameSource<'a> {
             let template = wire::RenderFrameRequest { dataset, version, camera: None, settings, output, pose_id: 0 };
             return Ok(Self::Unary { context, client, template });
         }
+        let passes = passes(settings.as_ref());
         let (up, messages) = mpsc::channel(4);
         // Every frame is kept: none shall be smaller for having moved.
         let open = wire::OpenInteraction { dataset, version, settings, output, credits: CREDITS, moving_frames_per_second: 0.0 };
         send(&up, Up::Open(open)).await?;
         let down = client.interact(context.patient_request(ReceiverStream::new(messages))).await?.into_inner();
-        Ok(Self::Stream { up, down })
+        Ok(Self::Stream { up, down, passes })
     }
 
     /// The frame of this camera; `pose_id` from 1, increasing.
@@ -169,23 +173,35 @@ impl<'a> FrameSource<'a> {
                 let request = wire::RenderFrameRequest { camera: Some(camera.1), pose_id, ..template.clone() };
                 Ok(client.render_frame(context.request(request)).await?.into_inner())
             }
-            Self::Stream { up, down } => {
+            Self::Stream { up, down, passes } => {
                 // If the server has gone, the answer says why; a failed send does not.
                 let _ = send(up, Up::Pose(wire::PoseUpdate { pose_id, camera: Some(camera.1) })).await;
-                let frame = streamed_frame(down, pose_id).await?;
-                let _ = send(up, Up::Acknowledge(wire::FrameAcknowledgement { frame_id: frame.frame_id })).await;
-                Ok(frame)
+                loop {
+                    let frame = streamed_frame(down, pose_id).await?;
+                    let _ = send(up, Up::Acknowledge(wire::FrameAcknowledgement { frame_id: frame.frame_id })).await;
+                    if frame.passes_done >= *passes {
+                        return Ok(frame);
+                    }
+                }
             }
         }
     }
 
     /// Half-closes a stream and waits for the server's end of it.
     async fn close(self) -> anyhow::Result<()> {
-        if let Self::Stream { up, mut down } = self {
+        if let Self::Stream { up, mut down, .. } = self {
             drop(up);
             while down.message().await?.is_some() {}
         }
         Ok(())
+    }
+}
+
+/// That a frame with these settings is the mean of in the end.
+fn passes(settings: Option<&wire::RenderSettings>) -> u32 {
+    match settings.and_then(|s| s.representation.as_ref()) {
+        Some(Representation::OffsetSurfaceLightField(s)) if s.component() == Component::Glossy => s.gloss.as_ref().map_or(1, |g| g.passes),
+        _ => 1,
     }
 }
 
@@ -223,6 +239,7 @@ fn frame_view(index: usize, camera: &str, file: String, frame: &wire::Frame, rou
         backend: views::backend_name(frame.backend()),
         adapter: frame.adapter.clone(),
         is_final: frame.is_final,
+        passes_done: frame.passes_done,
         round_trip_millis: 1e3 * round_trip.as_secs_f64(),
         timings_micros: views::Timings { queue: t.queue_micros, pages: t.pages_micros, render: t.render_micros, encode: t.encode_micros },
         cache: frame.cache.unwrap_or_default().into(),
