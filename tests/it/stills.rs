@@ -256,7 +256,7 @@ async fn passes_come_nearer_to_the_integral() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn the_command_line_renders_stills_alone_in_a_stream_and_for_evaluation() {
+async fn the_command_line_renders_stills_alone_and_in_a_stream() {
     let (folder, server) = with_dataset().await;
     let brdf = r#"{"model": "lambert", "albedo": [0.5, 0.5, 0.5]}"#;
     let shown = |out: &str, flags: &[&str]| {
