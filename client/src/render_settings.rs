@@ -2,7 +2,7 @@
 
 use clap::{Args, ValueEnum};
 use lumisphere_proto::v1alpha1 as wire;
-use wire::offset_surface_light_field_settings::{Blend as WireBlend, Component as WireComponent, Filter as WireFilter};
+use wire::offset_surface_light_field_settings::{Blend as WireBlend, Component as WireComponent, Filter as WireFilter, Gloss};
 use wire::parameter_map_settings::Show;
 use wire::render_settings::Representation;
 
@@ -40,6 +40,9 @@ pub struct GlossFlags {
     /// Directions drawn from it for each pixel, 1 to 4096 [default: 64]
     #[arg(long, value_name = "N", default_value_t = 0, hide_default_value = true, requires = "brdf")]
     pub directions: u32,
+    /// Passes of so many directions each that a frame is the mean of, 1 to 256 [default: 1]
+    #[arg(long, value_name = "P", default_value_t = 0, hide_default_value = true, requires = "brdf")]
+    pub passes: u32,
 }
 
 /// What of a cube map a pixel reads.
@@ -196,7 +199,7 @@ pub fn settings(
         exponent,
         specular_reflectance: Some(wire::Vector3 { x, y, z }),
         filter: filter.into(),
-        gloss: gloss.brdf.clone().map(|brdf| wire::offset_surface_light_field_settings::Gloss { brdf, directions: gloss.directions }),
+        gloss: gloss.brdf.clone().map(|brdf| Gloss { brdf, directions: gloss.directions, passes: gloss.passes }),
     };
     wire::RenderSettings { representation: Some(Representation::OffsetSurfaceLightField(settings)), backend }
 }

@@ -219,6 +219,8 @@ pub struct Frame {
     pub adapter: String,
     /// No better frame follows.
     pub is_final: bool,
+    /// That the picture is the mean of.
+    pub passes_done: u32,
     /// From request to answer, as seen here.
     pub round_trip_millis: f64,
     /// Inside the server.

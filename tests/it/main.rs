@@ -29,6 +29,7 @@ mod process;
 mod python;
 mod rules;
 mod sessions;
+mod stills;
 mod stopping;
 mod streaming;
 mod sweep;

@@ -162,6 +162,7 @@ fn frame_view(index: usize, camera: &str, file: String, frame: &wire::Frame, rou
         backend: views::backend_name(frame.backend()),
         adapter: frame.adapter.clone(),
         is_final: frame.is_final,
+        passes_done: frame.passes_done,
         round_trip_millis: 1e3 * round_trip.as_secs_f64(),
         timings_micros: views::Timings { queue: t.queue_micros, pages: t.pages_micros, render: t.render_micros, encode: t.encode_micros },
         cache: frame.cache.unwrap_or_default().into(),

@@ -23,6 +23,9 @@ const REMEMBERED_POSES = 64;
 export class Pane {
   readonly element = make('div', { class: 'pane' });
   private readonly picture: Picture;
+  // Over the picture's corner while more passes follow.
+  private readonly refining = make('span', { class: 'refining', hidden: true });
+  private passes = 1;
   private readonly session: Session<Camera, SettingsUpdate, Frame>;
   private readonly sentAt = new Map<bigint, number>();
   private view: Viewpoint | undefined;
@@ -38,7 +41,7 @@ export class Pane {
     private readonly listener: PaneListener,
   ) {
     this.picture = new Picture((message) => listener.rejected(message));
-    this.element.append(this.picture.element);
+    this.element.append(this.picture.element, this.refining);
     this.setLook(settings, delivery);
     this.session = new Session<Camera, SettingsUpdate, Frame>(
       sessionCalls(opening),
@@ -59,6 +62,7 @@ export class Pane {
     this.view = view;
     const id = this.session.setPose(cameraMessage(view, size));
     this.newestPose = BigInt(id);
+    this.refining.hidden = true;
     this.picture.awaits(view);
     this.expectFrame();
     this.sentAt.set(this.newestPose, performance.now());
@@ -84,7 +88,9 @@ export class Pane {
     this.element.remove();
   }
 
-  private setLook({ overlay }: Settings, { warp }: Delivery): void {
+  private setLook({ overlay, passes }: Settings, { warp }: Delivery): void {
+    this.passes = passes;
+    this.refining.hidden = true;
     this.picture.setWarp(warp === 'depth');
     this.picture.setOverlay(overlay === 'state' || overlay === 'samples' ? overlay : undefined);
   }
@@ -113,6 +119,10 @@ export class Pane {
     // Later frames of the same pose are refinements, not answers.
     this.sentAt.delete(frame.poseId);
     Object.assign(this.element.dataset, { shown: String(frame.poseId), final: String(frame.isFinal), frame: String(frame.frameId) });
+    this.element.dataset['passes'] = String(frame.passesDone);
+    // A first pass says nothing: most are of a moving viewer.
+    this.refining.hidden = frame.isFinal || frame.passesDone < 2 || frame.poseId !== this.newestPose;
+    this.refining.textContent = `refining ${frame.passesDone} / ${this.passes}`;
     const tier = frame.cache?.adapter ?? frame.cache;
     this.listener.drawn(frame, {
       atMillis,

@@ -28,6 +28,8 @@ export interface Settings {
   readonly filter: string;
   readonly brdf: string;
   readonly directions: number;
+  /** Of a glossy picture at rest: it is the mean of so many. */
+  readonly passes: number;
   readonly show: string;
   readonly exposureStops: number;
   readonly exposureGamma: number;
@@ -75,6 +77,7 @@ export const DEFAULT_SETTINGS: Settings = {
   filter: 'footprint',
   brdf: '{"model": "cook_torrance", "alpha_x": 0.1, "alpha_y": 0.3, "f0": [0.95, 0.64, 0.54]}',
   directions: 64,
+  passes: 16,
   show: 'radiance',
   exposureStops: 0,
   exposureGamma: 0,
@@ -159,6 +162,16 @@ export const SETTING_FIELDS: readonly Field<Settings>[] = [
     control: 'number',
     least: 1,
     most: 4096,
+    step: 1,
+    applies: showsComponent('glossy'),
+  },
+  {
+    key: 'passes',
+    label: 'Passes at rest',
+    hint: 'Each adds as many directions: noise and blur go.',
+    control: 'number',
+    least: 1,
+    most: 256,
     step: 1,
     applies: showsComponent('glossy'),
   },

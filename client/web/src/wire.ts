@@ -240,7 +240,9 @@ function renderSettings(kind: Kind, settings: Settings): RenderSettings {
     exponent: settings.exponent,
     specularReflectance: { x: settings.specularRed, y: settings.specularGreen, z: settings.specularBlue },
     filter: FILTERS[settings.filter] ?? Filter.FILTER_UNSPECIFIED,
-    ...(settings.component === 'glossy' && { gloss: { brdf: settings.brdf, directions: settings.directions } }),
+    ...(settings.component === 'glossy' && {
+      gloss: { brdf: settings.brdf, directions: settings.directions, passes: settings.passes },
+    }),
   };
   return create(RenderSettingsSchema, { representation: { case: 'offsetSurfaceLightField', value } });
 }

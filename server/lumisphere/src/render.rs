@@ -4,6 +4,7 @@
 //! pages on the GPU) is made at its first frame and kept until others need the room, least recently used first. All calls block;
 //! frames on the GPU take turns.
 
+mod accumulator;
 #[cfg(feature = "gpu")]
 mod gpu_tier;
 
@@ -13,6 +14,7 @@ use std::sync::MutexGuard;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
+pub use self::accumulator::Accumulator;
 #[cfg(feature = "gpu")]
 use self::gpu_tier::GpuTier;
 #[cfg(feature = "gpu")]

@@ -1,7 +1,8 @@
-//! From a pose to an encoded frame: open the version, wait for the render thread, encode on a blocking thread.
+//! From a pose to an encoded frame: open the version, wait for the render thread, encode on a blocking thread. What is a mean of several passes
+//! waits for each of them (`still`).
 
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use bytes::Bytes;
 use lumisphere::geometry::Camera;
@@ -15,7 +16,8 @@ use crate::config::BackendChoice;
 use crate::errors::{ApiError, Reason};
 use crate::frame_use::{AdapterUse, FramePages};
 use crate::prefetch::Expected;
-use crate::render_queue::{Priority, QueueError, RenderQueue, Rendered};
+use crate::render_queue::{Idle, Priority, QueueError, RenderQueue, Rendered};
+use crate::still::{Held, Rooms, Still};
 use crate::telemetry::Metrics;
 use crate::wire::cache::GpuTier;
 use crate::wire::frames::{EncodedFrame, cache_use};
@@ -32,6 +34,7 @@ const MESSAGE_OVERHEAD_BYTES: usize = 64 << 10;
 pub struct Frames {
     queue: RenderQueue<Renderer>,
     metrics: Arc<Metrics>,
+    rooms: Rooms,
     /// The adapter's tier as the last work on the render thread left it: asking does not wait for a frame.
     gpu: Arc<Mutex<Option<GpuTier>>>,
 }
@@ -51,22 +54,33 @@ pub struct FrameOrder {
     pub opening_micros: u64,
     /// Whether it may be shown before all its pages are on the adapter.
     pub refine: Refine,
+    /// Of a still: those that the settings ask for; 1 for a frame that is not refined.
+    pub passes: u32,
 }
 
-/// A frame and its account.
+/// Who waits for a frame, and how long.
+#[derive(Debug, Clone, Copy)]
+pub struct Caller {
+    /// In the line.
+    pub who: Priority,
+    /// Work that has not begun by then is not begun.
+    pub deadline: Option<tokio::time::Instant>,
+}
+
+/// A pass and its account.
 pub struct Drawn {
     /// The pixels themselves.
     pub frame: Frame,
     /// What computed them; None on the CPU.
-    adapter: Option<String>,
+    pub adapter: Option<String>,
     /// What the cache did for it.
-    cache: proto::FrameCacheUse,
+    pub cache: proto::FrameCacheUse,
 }
 
 impl Frames {
     /// On this queue.
     pub fn new(queue: RenderQueue<Renderer>, metrics: Arc<Metrics>) -> Self {
-        Self { queue, metrics, gpu: Arc::default() }
+        Self { queue, rooms: Rooms::new(metrics.clone()), metrics, gpu: Arc::default() }
     }
 
     /// The adapter's tier of the texture cache after the last frame; None without an adapter.
@@ -93,7 +107,7 @@ impl Frames {
             let request = FrameRequest { camera, settings, outputs, refine: Refine::Whole };
             renderer.look_ahead(&expected.version.representation, &request, upload_bytes)
         };
-        Ok(self.queue.run_idle(work).await.map_err(|e| self.refused(e))??)
+        Ok(self.queue.run_idle(Idle::Ahead, work).await.map_err(|e| self.refused(e))??)
     }
 
     /// Hands pages to the adapter that no frame has asked for yet; how many found room. In its turn after all frames.
@@ -104,7 +118,7 @@ impl Frames {
             note_gpu_tier(&gpu, renderer);
             brought
         };
-        Ok(self.queue.run_idle(work).await.map_err(|e| self.refused(e))??)
+        Ok(self.queue.run_idle(Idle::Ahead, work).await.map_err(|e| self.refused(e))??)
     }
 
     /// Renders waiting or in work.
@@ -112,80 +126,111 @@ impl Frames {
         self.queue.waiting()
     }
 
-    /// A frame as it goes over the wire. Dropping the future before rendering starts drops the work.
-    pub async fn encoded(
-        &self,
-        order: FrameOrder,
-        who: Priority,
-        deadline: Option<tokio::time::Instant>,
-    ) -> Result<EncodedFrame, ApiError> {
-        Ok(self.encoded_late(move || (order, ()), who, deadline).await?.0)
+    /// A frame as it goes over the wire, all its passes. Dropping the future before one starts drops it and all further ones.
+    pub async fn encoded(&self, order: FrameOrder, caller: Caller) -> Result<EncodedFrame, ApiError> {
+        let mut still = self.first_pass(order, caller).await?;
+        while !still.is_done() {
+            still = self.next_pass(still, caller).await?;
+        }
+        Ok(self.encoded_still(still).await?.0)
     }
 
-    /// The same of what is ordered when its turn comes, on the render thread; and what the orderer wants to remember of it.
+    /// A frame of one pass of what is ordered when its turn comes, on the render thread; what the orderer wants to remember of it; and the still
+    /// that it begins, where more passes are ordered, nothing stood in for missing pages and there is room.
     pub async fn encoded_late<T: Send + 'static>(
         &self,
         order: impl FnOnce() -> (FrameOrder, T) + Send + 'static,
         who: Priority,
-        deadline: Option<tokio::time::Instant>,
-    ) -> Result<(EncodedFrame, T), ApiError> {
-        let order = move || {
-            let (order, noted) = order();
-            let told = (order.output, order.camera, order.opening_micros, noted);
-            (order, told)
-        };
-        let (rendered, (output, camera, opening_micros, noted)) = self.draw(order, who, deadline).await?;
-        let metrics = self.metrics.clone();
-        let encoding = move || {
-            let Rendered { value, queued, slot, admitted } = rendered;
-            let encoded = encode(value, camera, output, opening_micros, queued.as_micros() as u64)?;
-            drop((slot, admitted));
-            observe(&metrics, &encoded.timings);
-            Ok(encoded)
-        };
-        Ok((blocking(encoding).await?, noted))
-    }
-
-    /// The pixels, not encoded.
-    pub async fn render(
-        &self,
-        order: FrameOrder,
-        who: Priority,
-        deadline: Option<tokio::time::Instant>,
-    ) -> Result<Rendered<Drawn>, ApiError> {
-        Ok(self.draw(move || (order, ()), who, deadline).await?.0)
-    }
-
-    async fn draw<T: Send + 'static>(
-        &self,
-        order: impl FnOnce() -> (FrameOrder, T) + Send + 'static,
-        who: Priority,
-        deadline: Option<tokio::time::Instant>,
-    ) -> Result<(Rendered<Drawn>, T), ApiError> {
+    ) -> Result<(EncodedFrame, Option<Still>, T), ApiError> {
         let gpu = self.gpu.clone();
         let work = move |renderer: &mut Renderer| {
             let (order, noted) = order();
-            let outputs = Outputs { depth: order.output.depth, provenance: order.output.provenance };
-            let request = FrameRequest { camera: &order.camera, settings: &order.settings.settings, outputs, refine: order.refine };
-            let backend = match order.settings.backend {
-                BackendChoice::Auto => None,
-                BackendChoice::Gpu => Some(Backend::Gpu),
-                BackendChoice::Cpu => Some(Backend::Cpu),
-            };
-            let pages = FramePages::new(&order.version.pages);
-            let before = renderer.gpu_stats().unwrap_or_default();
-            let rendered = renderer.render(&order.version.representation, &pages, &request, backend);
-            note_gpu_tier(&gpu, renderer);
-            let frame = rendered?;
-            let after = renderer.gpu_stats().unwrap_or_default();
-            let adapter_use = frame.stats.gpu.map(|frame| AdapterUse { before, after, frame });
-            let cache = cache_use(&pages.asked(), adapter_use.as_ref());
-            let adapter = (frame.stats.backend == Backend::Gpu).then(|| renderer.adapter().unwrap_or_default().to_string());
-            Ok::<_, RenderError>((Drawn { frame, adapter, cache }, noted))
+            let drawn = draw(renderer, &gpu, &order, 0)?;
+            Ok::<_, RenderError>((order, drawn, noted))
         };
-        let Rendered { value, queued, slot, admitted } = self.queue.run(who, deadline, work).await.map_err(|e| self.refused(e))?;
-        let (value, noted) = value?;
-        Ok((Rendered { value, queued, slot, admitted }, noted))
+        let Rendered { value, queued, slot, admitted } = self.queue.run(who, None, work).await.map_err(|e| self.refused(e))?;
+        let (order, drawn, noted) = value?;
+        let (metrics, rooms) = (self.metrics.clone(), self.rooms.clone());
+        let encoding = move || {
+            let mut still = Still::begin(order, drawn, queued, Held::by_call(admitted, slot, None));
+            let encoded = encode(&mut still, &metrics)?;
+            let goes_on = !still.is_done() && still.pixels().is_final;
+            let room = goes_on.then(|| rooms.of_viewer_now(&still.order)).flatten();
+            still.held = Held::by_viewer(room);
+            Ok((encoded, still.held.room.is_some().then_some(still)))
+        };
+        let (encoded, still) = blocking(encoding).await?;
+        Ok((encoded, still, noted))
+    }
+
+    /// The first pass of a still, which waits for room if it is one of several.
+    pub async fn first_pass(&self, order: FrameOrder, caller: Caller) -> Result<Still, ApiError> {
+        let admitted = self.queue.admit().map_err(|e| self.refused(e))?;
+        let room = match order.passes {
+            1 => None,
+            _ => Some(self.rooms.of_call(&order, caller).await?),
+        };
+        let work = self.pass(order.clone(), 0);
+        let run = self.queue.run_admitted(admitted, caller.who, caller.deadline, work);
+        let Rendered { value, queued, slot, admitted } = run.await.map_err(|e| self.refused(e))?;
+        Ok(Still::begin(order, value?, queued, Held::by_call(admitted, slot, room)))
+    }
+
+    /// The next pass of that still, in the place that it has.
+    pub async fn next_pass(&self, mut still: Still, caller: Caller) -> Result<Still, ApiError> {
+        let admitted = match still.held.admitted.take() {
+            Some(admitted) => admitted,
+            None => self.queue.admit().map_err(|e| self.refused(e))?,
+        };
+        let work = self.pass(still.order.clone(), still.passes());
+        let run = self.queue.run_admitted(admitted, caller.who, caller.deadline, work);
+        let Rendered { value, queued, slot, admitted } = run.await.map_err(|e| self.refused(e))?;
+        let drawn = value?;
+        blocking(move || {
+            still.add(&drawn, queued);
+            still.held.admitted = Some(admitted);
+            drop((drawn, slot));
+            Ok(still)
+        })
+        .await
+    }
+
+    /// One more pass for a viewer at rest, after everyone else: of that still, or the first of a new one once there is room. A pass for which
+    /// pages are still missing brings some of them and is not added; None where that was the first.
+    pub async fn refined(&self, still: Option<Still>, order: FrameOrder) -> Result<Option<Still>, ApiError> {
+        let room = match &still {
+            Some(_) => None,
+            None => Some(self.rooms.of_viewer(&order).await),
+        };
+        let (work, called) = (self.pass(order.clone(), still.as_ref().map_or(0, Still::passes)), Instant::now());
+        let drawn = self.queue.run_idle(Idle::Refine, work).await.map_err(|e| self.refused(e))??;
+        let queued = called.elapsed().saturating_sub(Duration::from_secs_f64(1e-3 * drawn.frame.stats.total_millis));
+        blocking(move || {
+            Ok(match still {
+                Some(mut still) if drawn.frame.pixels.is_final => {
+                    still.add(&drawn, queued);
+                    Some(still)
+                }
+                Some(mut still) => {
+                    still.note(&drawn, queued);
+                    Some(still)
+                }
+                None if drawn.frame.pixels.is_final => Some(Still::begin(order, drawn, queued, Held::by_viewer(room))),
+                None => None,
+            })
+        })
+        .await
+    }
+
+    /// The passes so far as they go over the wire.
+    pub async fn encoded_still(&self, mut still: Still) -> Result<(EncodedFrame, Still), ApiError> {
+        let metrics = self.metrics.clone();
+        blocking(move || Ok((encode(&mut still, &metrics)?, still))).await
+    }
+
+    fn pass(&self, order: FrameOrder, pass: u32) -> impl FnOnce(&mut Renderer) -> Result<Drawn, RenderError> + Send + 'static {
+        let gpu = self.gpu.clone();
+        move |renderer| draw(renderer, &gpu, &order, pass)
     }
 
     fn refused(&self, error: QueueError) -> ApiError {
@@ -202,18 +247,41 @@ impl Frames {
     }
 }
 
+/// Renders one pass of what is ordered; on the render thread.
+fn draw(renderer: &Renderer, gpu: &Mutex<Option<GpuTier>>, order: &FrameOrder, pass: u32) -> Result<Drawn, RenderError> {
+    let outputs = Outputs { depth: order.output.depth, provenance: order.output.provenance };
+    let settings = order.settings.settings;
+    let settings = settings.of_pass(pass).unwrap_or(settings);
+    let request = FrameRequest { camera: &order.camera, settings: &settings, outputs, refine: order.refine };
+    let backend = match order.settings.backend {
+        BackendChoice::Auto => None,
+        BackendChoice::Gpu => Some(Backend::Gpu),
+        BackendChoice::Cpu => Some(Backend::Cpu),
+    };
+    let pages = FramePages::new(&order.version.pages);
+    let before = renderer.gpu_stats().unwrap_or_default();
+    let rendered = renderer.render(&order.version.representation, &pages, &request, backend);
+    note_gpu_tier(gpu, renderer);
+    let frame = rendered?;
+    let after = renderer.gpu_stats().unwrap_or_default();
+    let adapter_use = frame.stats.gpu.map(|frame| AdapterUse { before, after, frame });
+    let cache = cache_use(&pages.asked(), adapter_use.as_ref());
+    let adapter = (frame.stats.backend == Backend::Gpu).then(|| renderer.adapter().unwrap_or_default().to_string());
+    Ok(Drawn { frame, adapter, cache })
+}
+
 fn note_gpu_tier(place: &Mutex<Option<GpuTier>>, renderer: &Renderer) {
     let versions = renderer.gpu_stats_by_version();
     let tier = renderer.gpu_stats().zip(renderer.gpu_policy()).map(|(stats, policy)| GpuTier { stats, versions, policy });
     *place.lock().unwrap_or_else(PoisonError::into_inner) = tier;
 }
 
-/// The colour of a frame as an image.
-pub fn color_image(frame: &Frame) -> Image {
-    let (width, height) = (frame.width_px as usize, frame.height_px as usize);
-    let mut image = Image::zeros(width, height, 3);
+/// The colour of a still as an image.
+pub fn color_image(still: &Still) -> Image {
+    let intrinsics = still.order.camera.intrinsics();
+    let mut image = Image::zeros(intrinsics.width_px as usize, intrinsics.height_px as usize, 3);
     let [red, green, blue] = &mut image.planes[..] else { unreachable!("three planes were asked for") };
-    for (((pixel, r), g), b) in frame.pixels.color.as_chunks::<3>().0.iter().zip(red).zip(green).zip(blue) {
+    for (((pixel, r), g), b) in still.pixels().color.as_chunks::<3>().0.iter().zip(red).zip(green).zip(blue) {
         [*r, *g, *b] = *pixel;
     }
     image
@@ -227,12 +295,12 @@ fn observe(metrics: &Metrics, timings: &proto::FrameTimings) {
     metrics.frame_stage("encode", timings.encode_micros);
 }
 
-fn encode(drawn: Drawn, camera: Camera, output: Output, opening_micros: u64, queue_micros: u64) -> Result<EncodedFrame, ApiError> {
-    let Drawn { frame, adapter, cache } = drawn;
+fn encode(still: &mut Still, metrics: &Metrics) -> Result<EncodedFrame, ApiError> {
     let begun = Instant::now();
-    let color = encode_color(&frame, output.encoding)?;
-    let depth = frame.pixels.depth.as_deref().map_or(Ok(Bytes::new()), |d| compressed(d.iter().map(|v| v.to_le_bytes())))?;
-    let provenance = frame.pixels.provenance.as_deref();
+    let (pixels, output) = (still.pixels(), still.order.output);
+    let color = encode_color(still, output.encoding)?;
+    let depth = pixels.depth.as_deref().map_or(Ok(Bytes::new()), |d| compressed(d.iter().map(|v| v.to_le_bytes())))?;
+    let provenance = pixels.provenance.as_deref();
     let provenance = provenance.map_or(Ok(Bytes::new()), |p| compressed(p.iter().map(|v| v.bits().to_le_bytes())))?;
     let bytes = color.len() + depth.len() + provenance.len();
     if bytes > MAX_FRAME_MESSAGE_BYTES - MESSAGE_OVERHEAD_BYTES {
@@ -241,33 +309,32 @@ fn encode(drawn: Drawn, camera: Camera, output: Output, opening_micros: u64, que
         );
         return Err(ApiError::new(Reason::FrameTooLarge, message));
     }
-    let stats = &frame.stats;
-    let prepare_micros = (1e3 * stats.prepare_millis) as u64;
+    let (all_pages, is_final) = (pixels.is_final, pixels.is_final && still.is_done());
+    let (timings, cache) = still.take_account();
+    let timings = proto::FrameTimings { encode_micros: begun.elapsed().as_micros() as u64, ..timings };
+    observe(metrics, &timings);
     Ok(EncodedFrame {
-        camera,
+        camera: still.order.camera,
         encoding: output.encoding,
         color,
         depth,
         provenance,
-        timings: proto::FrameTimings {
-            queue_micros,
-            pages_micros: opening_micros + prepare_micros,
-            render_micros: ((1e3 * stats.total_millis) as u64).saturating_sub(prepare_micros),
-            encode_micros: begun.elapsed().as_micros() as u64,
-        },
+        timings,
         cache,
-        adapter,
-        is_final: frame.pixels.is_final,
+        adapter: still.adapter.clone(),
+        is_final,
+        all_pages,
+        passes_done: still.passes(),
     })
 }
 
-fn encode_color(frame: &Frame, encoding: Encoding) -> Result<Bytes, ApiError> {
+fn encode_color(still: &Still, encoding: Encoding) -> Result<Bytes, ApiError> {
     let failed = |e: lumisphere::images::ImageError| ApiError::internal(format!("cannot encode a frame: {e}"));
     let encoded = match encoding {
-        Encoding::RawZstd => return compressed(frame.pixels.color.iter().map(|v| v.to_le_bytes())),
-        Encoding::Exr => encode_exr_rgb(&color_image(frame), ExrStorage::Float),
-        Encoding::Png { tone_map } => tone_mapped(&color_image(frame), tone_map).and_then(|i| encode_png(&i)),
-        Encoding::Jpeg { quality, tone_map } => tone_mapped(&color_image(frame), tone_map).and_then(|i| encode_jpeg(&i, quality)),
+        Encoding::RawZstd => return compressed(still.pixels().color.iter().map(|v| v.to_le_bytes())),
+        Encoding::Exr => encode_exr_rgb(&color_image(still), ExrStorage::Float),
+        Encoding::Png { tone_map } => tone_mapped(&color_image(still), tone_map).and_then(|i| encode_png(&i)),
+        Encoding::Jpeg { quality, tone_map } => tone_mapped(&color_image(still), tone_map).and_then(|i| encode_jpeg(&i, quality)),
     };
     Ok(encoded.map_err(failed)?.into())
 }

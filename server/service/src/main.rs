@@ -16,6 +16,7 @@ mod replay;
 mod serve;
 mod sessions;
 mod shutdown;
+mod still;
 mod telemetry;
 mod viewer_page;
 mod wire;

@@ -4,8 +4,8 @@
 //! waiting as configured, one more is refused at once), its *turn*, and a *slot* (a few frames are between start and the end of their
 //! encoding, so that finished pixels cannot pile up in memory). Viewers go before jobs, and whoever has waited longest goes first, so that
 //! sessions with one wish at a time get equally many frames; a larger frame of a picture that is there already stands half a second behind
-//! the others. Work whose caller has gone leaves the line; work whose deadline has passed is dropped before it starts. Idle work, a piece at
-//! a time, goes after everyone: it takes no place from a render, which waits for no more than the piece that has begun.
+//! the others. Work whose caller has gone leaves the line; work whose deadline has passed is dropped before it starts. Idle work, a piece of
+//! each kind at a time, goes after everyone: it takes no place from a render, which waits for no more than the piece that has begun.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -36,6 +36,18 @@ pub enum Priority {
     Batch,
 }
 
+/// Work for when no render waits.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Idle {
+    /// Pages for the next frame of someone who moves.
+    Ahead,
+    /// A pass for a still that is shown already: after all else.
+    Refine,
+}
+
+/// Kinds of [`Idle`] work.
+const IDLE_KINDS: usize = 2;
+
 /// Why there is no frame.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum QueueError {
@@ -63,7 +75,8 @@ type Render<R> = Box<dyn FnOnce(&mut R, Slot) + Send>;
 pub struct RenderQueue<R> {
     admission: Arc<Semaphore>,
     length: usize,
-    idle_place: Arc<Semaphore>,
+    // By `Idle`.
+    idle_places: [Arc<Semaphore>; IDLE_KINDS],
     door: Arc<Door<R>>,
     // Closed when the thread has ended.
     ended: Receiver<()>,
@@ -82,7 +95,8 @@ struct State<R> {
     renders: BinaryHeap<Reverse<Waiting<R>>>,
     /// How many have come: of two that came in the same moment, the first goes first.
     arrivals: u64,
-    idle: Option<Work<R>>,
+    /// By `Idle`: the earlier first.
+    idle: [Option<Work<R>>; IDLE_KINDS],
     free_slots: usize,
     is_closed: bool,
 }
@@ -111,7 +125,7 @@ impl<R> Clone for RenderQueue<R> {
         Self {
             admission: self.admission.clone(),
             length: self.length,
-            idle_place: self.idle_place.clone(),
+            idle_places: self.idle_places.clone(),
             door: self.door.clone(),
             ended: self.ended.clone(),
         }
@@ -146,7 +160,7 @@ impl<R: 'static> RenderQueue<R> {
     /// Starts the thread; `make` makes the renderer on it, and again after a panic. `length` renders may wait.
     /// Returns once the first renderer is made, with its error if it cannot be.
     pub fn start<E: Send + 'static>(length: usize, make: impl Fn() -> Result<R, E> + Send + 'static) -> Result<Self, E> {
-        let state = State { renders: BinaryHeap::new(), arrivals: 0, idle: None, free_slots: SLOTS, is_closed: false };
+        let state = State { renders: BinaryHeap::new(), arrivals: 0, idle: Default::default(), free_slots: SLOTS, is_closed: false };
         let line = Arc::new(Line { state: Mutex::new(state), changed: Condvar::new() });
         let door = Arc::new(Door(line.clone()));
         let (ready, made) = bounded(1);
@@ -166,13 +180,18 @@ impl<R: 'static> RenderQueue<R> {
             })
             .expect("a thread can be started while the server starts");
         made.recv().expect("the render thread answers before it ends")?;
-        let (admission, idle_place) = (Arc::new(Semaphore::new(length)), Arc::new(Semaphore::new(1)));
-        Ok(Self { admission, length, idle_place, door, ended })
+        let (admission, idle_places) = (Arc::new(Semaphore::new(length)), std::array::from_fn(|_| Arc::new(Semaphore::new(1))));
+        Ok(Self { admission, length, idle_places, door, ended })
     }
 
     /// To wait for the thread's end, which comes when every queue to it is dropped and its last work done.
     pub fn ended(&self) -> RenderThreadEnded {
         RenderThreadEnded(self.ended.clone())
+    }
+
+    /// A place among those that may wait, given back when dropped.
+    pub fn admit(&self) -> Result<OwnedSemaphorePermit, QueueError> {
+        self.admission.clone().try_acquire_owned().map_err(|_| QueueError::Full { waiting: self.length })
     }
 
     /// Runs `work` on the render thread. Dropping the future before it starts drops the work.
@@ -182,8 +201,18 @@ impl<R: 'static> RenderQueue<R> {
         deadline: Option<Instant>,
         work: impl FnOnce(&mut R) -> T + Send + 'static,
     ) -> Result<Rendered<T>, QueueError> {
+        self.run_admitted(self.admit()?, priority, deadline, work).await
+    }
+
+    /// The same for who has a place.
+    pub async fn run_admitted<T: Send + 'static>(
+        &self,
+        admitted: OwnedSemaphorePermit,
+        priority: Priority,
+        deadline: Option<Instant>,
+        work: impl FnOnce(&mut R) -> T + Send + 'static,
+    ) -> Result<Rendered<T>, QueueError> {
         let called = Instant::now();
-        let admitted = self.admission.clone().try_acquire_owned().map_err(|_| QueueError::Full { waiting: self.length })?;
         // Far enough away to mean never, near enough not to overflow.
         let deadline = deadline.unwrap_or_else(|| called + Duration::from_secs(86_400));
         let (answer, answered) = oneshot::channel();
@@ -213,8 +242,8 @@ impl<R: 'static> RenderQueue<R> {
 
     /// Runs a piece of work, no longer than a frame, when no render waits for the thread. Dropping the future before it starts drops the
     /// work.
-    pub async fn run_idle<T: Send + 'static>(&self, work: impl FnOnce(&mut R) -> T + Send + 'static) -> Result<T, QueueError> {
-        let place = self.idle_place.clone().acquire_owned().await.map_err(|_| QueueError::Stopped)?;
+    pub async fn run_idle<T: Send + 'static>(&self, kind: Idle, work: impl FnOnce(&mut R) -> T + Send + 'static) -> Result<T, QueueError> {
+        let place = self.idle_places[kind as usize].clone().acquire_owned().await.map_err(|_| QueueError::Stopped)?;
         let (answer, answered) = oneshot::channel();
         let boxed: Work<R> = Box::new(move |renderer| {
             let _place = place;
@@ -229,7 +258,7 @@ impl<R: 'static> RenderQueue<R> {
                 }
             }
         });
-        self.door.0.stand_idle(boxed);
+        self.door.0.stand_idle(kind, boxed);
         answered.await.map_err(|_| QueueError::Stopped)?
     }
 
@@ -266,11 +295,11 @@ impl<R> Line<R> {
         drop(left);
     }
 
-    /// One at a time: the caller holds the only place.
-    fn stand_idle(&self, work: Work<R>) {
+    /// One of a kind at a time: the caller holds the only place.
+    fn stand_idle(&self, kind: Idle, work: Work<R>) {
         let mut state = self.lock();
         if !state.is_closed {
-            state.idle = Some(work);
+            state.idle[kind as usize] = Some(work);
             self.changed.notify_one();
         }
     }
@@ -292,7 +321,7 @@ impl<R> Line<R> {
                 let slot = Slot(self.clone());
                 return Some(Box::new(move |renderer| (first.render)(renderer, slot)));
             }
-            if let Some(work) = state.idle.take() {
+            if let Some(work) = state.idle.iter_mut().find_map(Option::take) {
                 return Some(work);
             }
             state = self.changed.wait(state).unwrap_or_else(PoisonError::into_inner);
@@ -303,7 +332,7 @@ impl<R> Line<R> {
     fn close(&self) {
         let mut state = self.lock();
         state.is_closed = true;
-        let waiting = (std::mem::take(&mut state.renders), state.idle.take());
+        let waiting = (std::mem::take(&mut state.renders), std::mem::take(&mut state.idle));
         drop(state);
         self.changed.notify_one();
         drop(waiting);

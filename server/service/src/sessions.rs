@@ -8,6 +8,7 @@ mod kept;
 mod link;
 mod pace;
 mod session;
+mod wish;
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -34,6 +35,7 @@ const FAREWELL_PATIENCE: Duration = Duration::from_secs(2);
 pub type Answers = mpsc::Receiver<Result<proto::InteractResponse, Status>>;
 
 type Outbox = mpsc::Sender<Result<proto::InteractResponse, Status>>;
+type OutboxPlace<'a> = mpsc::Permit<'a, Result<proto::InteractResponse, Status>>;
 
 /// What sessions need of the server.
 pub struct Stage {

@@ -119,6 +119,14 @@ pub struct Metrics {
     pub poses_overtaken: Counter,
     /// Frames of full size that were dropped because the viewer moved on.
     pub stills_abandoned: Counter,
+    /// Stills whose further passes were dropped because the viewer moved on.
+    pub refinements_abandoned: Counter,
+    /// Passes of stills after the first.
+    pub passes: Counter,
+    /// Stills of which more passes are being rendered.
+    pub stills_held: Gauge,
+    /// Bytes of their pixels.
+    pub still_bytes: Gauge,
     /// Times that pages were looked for, and brought, ahead of a moving viewer's next frame.
     pub looks_ahead: Counter,
     /// Renders refused because the queue was full.
@@ -147,6 +155,10 @@ impl Metrics {
             frames: Counter::default(),
             poses_overtaken: Counter::default(),
             stills_abandoned: Counter::default(),
+            refinements_abandoned: Counter::default(),
+            passes: Counter::default(),
+            stills_held: Gauge::default(),
+            still_bytes: Gauge::default(),
             looks_ahead: Counter::default(),
             renders_refused: Counter::default(),
             sessions: Gauge::default(),
@@ -163,6 +175,14 @@ impl Metrics {
         r.register("render_frames", "Frames rendered and encoded", m.frames.clone());
         r.register("poses_overtaken", "Poses that a newer one overtook", m.poses_overtaken.clone());
         r.register("stills_abandoned", "Frames of full size dropped because the viewer moved on", m.stills_abandoned.clone());
+        r.register(
+            "refinements_abandoned",
+            "Stills whose further passes were dropped because the viewer moved on",
+            m.refinements_abandoned.clone(),
+        );
+        r.register("still_passes", "Passes of stills after the first", m.passes.clone());
+        r.register("stills_held", "Stills of which more passes are being rendered", m.stills_held.clone());
+        r.register("still_bytes", "Bytes of their pixels", m.still_bytes.clone());
         r.register("looks_ahead", "Times that pages were brought ahead of a moving viewer's next frame", m.looks_ahead.clone());
         r.register("renders_refused", "Renders refused because the queue was full", m.renders_refused.clone());
         r.register("sessions_active", "Viewers: Interact streams and sessions", m.sessions.clone());

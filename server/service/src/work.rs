@@ -13,14 +13,18 @@ mod views;
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
+use lumisphere::progress::Progress;
 use lumisphere::scenes::Scene;
 use lumisphere::textures::ContentHash;
 use tokio::runtime::Handle;
 
 use crate::catalog::{Catalog, OpenedVersion};
 use crate::errors::{ApiError, Reason};
-use crate::frames::Frames;
-use crate::jobs::{Attempt, JobBody, Outcome, ResultBlob};
+use crate::frames::{Caller, FrameOrder, Frames};
+use crate::jobs::{Attempt, JobBody, Outcome, ResultBlob, cancelled};
+use crate::render_queue::Priority;
+use crate::still::Still;
+use crate::wire::frames::EncodedFrame;
 use crate::wire::jobs::{JobSpec, SpecLimits, job_spec, recalled};
 use crate::wire::scenes::{SceneSource, scene_source};
 use scene::load_scene;
@@ -80,6 +84,24 @@ impl Work {
         let source = scene_source(Some(source.clone()), "scene")?;
         let scene = load_scene(&source, self.catalog.store(), self.scene_bytes)?;
         Ok((source, scene))
+    }
+
+    /// All passes of what is ordered, behind all viewers; a job that is to end does so between two of them.
+    fn still(&self, order: FrameOrder, attempt: &Attempt) -> Result<Still, ApiError> {
+        let caller = Caller { who: Priority::Batch, deadline: None };
+        let mut still = self.runtime.block_on(self.frames.first_pass(order, caller))?;
+        while !still.is_done() {
+            if attempt.is_cancelled() {
+                return Err(cancelled());
+            }
+            still = self.runtime.block_on(self.frames.next_pass(still, caller))?;
+        }
+        Ok(still)
+    }
+
+    /// As it goes into a file.
+    fn encoded(&self, still: Still) -> Result<EncodedFrame, ApiError> {
+        Ok(self.runtime.block_on(self.frames.encoded_still(still))?.0)
     }
 
     /// Keeps a result's bytes.

@@ -124,6 +124,12 @@ export class ViewerPage {
     return this.page.getByLabel(name, { exact: true }).filter({ visible: true });
   }
 
+  /** Types a number into the field of this name. */
+  async setNumber(name: string, value: number): Promise<void> {
+    await this.field(name).fill(String(value));
+    await this.field(name).blur();
+  }
+
   async drag(dx: number, dy: number): Promise<void> {
     const box = await this.page.locator('.stage').boundingBox();
     if (box === null) throw new Error('no stage');

@@ -154,7 +154,10 @@ describe('a person', () => {
   test('is told what the server refuses, and goes on', async () => {
     // A glossy frame takes long on a software adapter: a small one.
     await viewer.becomesStillAfter(() => viewer.page.setViewportSize({ width: 400, height: 300 }));
-    await viewer.becomesStillAfter(() => viewer.field('Component').selectOption('glossy'));
+    await viewer.becomesStillAfter(async () => {
+      await viewer.field('Component').selectOption('glossy');
+      await viewer.setNumber('Passes at rest', 1);
+    });
     const text = viewer.field('BRDF');
     const good = await text.inputValue();
     await text.fill('{"model": "rubber"}');
@@ -168,6 +171,34 @@ describe('a person', () => {
     });
     expect(await viewer.page.getByRole('alert').isVisible()).toBe(false);
     await seen(viewer, 'patchwork');
+    await viewer.becomesStillAfter(() => viewer.field('Component').selectOption('mirror'));
+    await viewer.becomesStillAfter(() => viewer.page.setViewportSize(VIEWPORT));
+  });
+
+  test('refines a glossy picture at rest, and says how far it is', async () => {
+    await viewer.becomesStillAfter(() => viewer.page.setViewportSize({ width: 400, height: 300 }));
+    await viewer.field('Component').selectOption('glossy');
+    await viewer.field('Blend').selectOption('normal');
+    await viewer.field('Directions a pixel').fill('16');
+    await viewer.page.evaluate(() => {
+      const note = document.querySelector('.refining')!;
+      const told: string[] = [];
+      new MutationObserver(() => note.checkVisibility() && told.push(note.textContent)).observe(note, {
+        attributes: true,
+        childList: true,
+      });
+      Object.assign(window, { told });
+    });
+    await viewer.becomesStillAfter(() => viewer.setNumber('Passes at rest', 64));
+    const told = await viewer.page.evaluate(() => (window as unknown as { told: string[] }).told);
+    const passes = told.map((text) => Number(/^refining (\d+) \/ 64$/.exec(text)?.[1]));
+    expect(passes.length).toBeGreaterThan(0);
+    expect(passes.every((n, i) => n > 1 && n < 64 && n >= (passes[i - 1] ?? 0))).toBe(true);
+    expect(await viewer.page.locator('.pane').getAttribute('data-passes')).toBe('64');
+    expect(await viewer.page.locator('.refining').isVisible()).toBe(false);
+    await seen(viewer, 'patchwork');
+    await viewer.screenshot('refined');
+    await viewer.field('Blend').selectOption('corrected');
     await viewer.becomesStillAfter(() => viewer.field('Component').selectOption('mirror'));
     await viewer.becomesStillAfter(() => viewer.page.setViewportSize(VIEWPORT));
   });

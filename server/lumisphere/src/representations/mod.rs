@@ -121,6 +121,20 @@ impl Settings {
         }
     }
 
+    /// How pass `pass` of a still is rendered; None where a second frame would be no other than the first.
+    pub fn of_pass(self, pass: u32) -> Option<Self> {
+        match self {
+            Self::OffsetSurfaceLightField(s) => match s.component {
+                oslf::Component::Glossy(gloss) => {
+                    let component = oslf::Component::Glossy(oslf::Gloss { pass, ..gloss });
+                    Some(Self::OffsetSurfaceLightField(oslf::Settings { component, ..s }))
+                }
+                oslf::Component::Reconstruction | oslf::Component::Mirror | oslf::Component::Full => None,
+            },
+            Self::ParameterMap(_) => None,
+        }
+    }
+
     /// Whether such a frame of `camera` is little enough work to be started.
     pub fn check_frame(&self, camera: &Camera) -> Result<(), RenderError> {
         let pixels = u64::from(camera.intrinsics().width_px) * u64::from(camera.intrinsics().height_px);

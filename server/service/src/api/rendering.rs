@@ -8,7 +8,7 @@ use tonic::{Request, Response, Status, Streaming};
 
 use super::{Answers, Api, App, blocking};
 use crate::errors::ApiError;
-use crate::frames::FrameOrder;
+use crate::frames::{Caller, FrameOrder};
 use crate::render_queue::Priority;
 use crate::wire::frames::{FrameIdentity, frame};
 use crate::wire::proto::{self, rendering_server::Rendering};
@@ -68,8 +68,9 @@ async fn render(app: &App, m: proto::RenderFrameRequest, deadline: Option<tokio:
     let version = blocking(move || catalog.open_version(&dataset, m.version)).await?;
     check_kind(&settings.settings, version.representation.kind().name())?;
     let opening_micros = begun.elapsed().as_micros() as u64;
-    let order = FrameOrder { version: version.clone(), camera, settings, output, opening_micros, refine: Refine::Whole };
-    let encoded = app.frames.encoded(order, Priority::Viewer, deadline).await?;
+    let (version_shown, refine, passes) = (version.clone(), Refine::Whole, settings.passes);
+    let order = FrameOrder { version: version_shown, camera, settings, output, opening_micros, refine, passes };
+    let encoded = app.frames.encoded(order, Caller { who: Priority::Viewer, deadline }).await?;
     let (dataset, dataset_version) = (version.dataset.clone(), version.version);
     Ok(frame(encoded, FrameIdentity { frame_id: app.next_frame_id(), pose_id: m.pose_id, dataset, dataset_version }))
 }

@@ -121,6 +121,11 @@ async fn a_panic_is_told_to_its_caller_and_the_next_frame_has_a_fresh_renderer()
     assert_eq!(queue.run(Priority::Viewer, None, |r| *r).await.unwrap().value, 0);
 }
 
+/// How many stand in line; who is admitted may not have got there yet.
+fn in_line(queue: &RenderQueue<u32>) -> usize {
+    queue.door.0.state.lock().unwrap().renders.len()
+}
+
 /// Eight sessions, each with one wish at a time, and eight jobs. A frame takes until all others stand in line again, so that every turn is a
 /// choice among all: who came last must not go first.
 #[tokio::test(flavor = "multi_thread")]
@@ -138,7 +143,7 @@ async fn sessions_that_share_the_thread_get_equally_many_frames() {
                 let line = queue.clone();
                 let frame = move |frames: &mut u32| {
                     *frames += 1;
-                    while *frames <= FRAMES && line.waiting() < SESSIONS + JOBS {
+                    while *frames <= FRAMES && in_line(&line) < SESSIONS - 1 + JOBS {
                         thread::yield_now();
                     }
                     *frames
@@ -151,7 +156,7 @@ async fn sessions_that_share_the_thread_get_equally_many_frames() {
         }));
     }
     let jobs: Vec<_> = (0..JOBS).map(|_| tokio::spawn(waiting(queue.clone(), Priority::Batch))).collect();
-    while queue.waiting() < 1 + SESSIONS + JOBS {
+    while in_line(&queue) < SESSIONS + JOBS {
         tokio::task::yield_now().await;
     }
     release.send(()).unwrap();
@@ -210,9 +215,9 @@ async fn idle_work_goes_after_everyone_and_takes_no_place_from_a_render() {
         *order
     };
     // Polled first, it waits for the thread; another waits for it.
-    let mut idle = Box::pin(queue.run_idle(count));
+    let mut idle = Box::pin(queue.run_idle(Idle::Ahead, count));
     assert!(futures_poll_once(idle.as_mut()).await.is_none());
-    let mut next_idle = Box::pin(queue.run_idle(count));
+    let mut next_idle = Box::pin(queue.run_idle(Idle::Ahead, count));
     assert!(futures_poll_once(next_idle.as_mut()).await.is_none());
     assert_eq!(queue.waiting(), 1, "only the render that holds the thread counts");
     let mut job = Box::pin(queue.run(Priority::Batch, None, count));
@@ -226,15 +231,83 @@ async fn idle_work_goes_after_everyone_and_takes_no_place_from_a_render() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn refining_goes_after_what_is_brought_ahead_and_one_pass_at_a_time() {
+    let queue = queue(8);
+    let (release, held) = hold(&queue);
+    let count = |order: &mut u32| {
+        *order += 1;
+        *order
+    };
+    let mut places = [Idle::Refine, Idle::Refine, Idle::Ahead].map(|kind| Box::pin(queue.run_idle(kind, count)));
+    for place in &mut places {
+        assert!(futures_poll_once(place.as_mut()).await.is_none());
+    }
+    let mut viewer = Box::pin(queue.run(Priority::Viewer, None, count));
+    assert!(futures_poll_once(viewer.as_mut()).await.is_none());
+    release.send(()).unwrap();
+    held.await.unwrap();
+    let [pass, other_pass, ahead] = places;
+    let (viewer, pass, other_pass, ahead) = tokio::join!(viewer, pass, other_pass, ahead);
+    assert_eq!((viewer.unwrap().value, ahead, pass, other_pass), (1, Ok(2), Ok(3), Ok(4)));
+}
+
+/// Of two viewers who are refined without end, one's pass is under way when somebody else's frame comes.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_frame_waits_for_no_more_than_the_pass_that_is_under_way() {
+    let queue = queue(8);
+    let pass = |passes: &mut u32| {
+        *passes += 1;
+        *passes
+    };
+    let endless = tokio::spawn({
+        let queue = queue.clone();
+        async move { while queue.run_idle(Idle::Refine, pass).await.is_ok() {} }
+    });
+    for _ in 0..50 {
+        let (release, released) = bounded::<()>(1);
+        let (begun, has_begun) = bounded::<()>(1);
+        let held = tokio::spawn({
+            let queue = queue.clone();
+            let held_pass = move |passes: &mut u32| {
+                begun.send(()).expect("the test waits");
+                released.recv().expect("the test tells");
+                pass(passes)
+            };
+            async move { queue.run_idle(Idle::Refine, held_pass).await }
+        });
+        tokio::task::block_in_place(|| has_begun.recv().unwrap());
+        let mut frame = Box::pin(queue.run(Priority::Viewer, None, |passes| *passes));
+        assert!(futures_poll_once(frame.as_mut()).await.is_none());
+        release.send(()).unwrap();
+        assert_eq!(Ok(frame.await.unwrap().value), held.await.unwrap(), "another pass came before the frame");
+    }
+    endless.abort();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn who_was_admitted_once_keeps_the_place_from_turn_to_turn() {
+    let queue = queue(1);
+    let mut admitted = queue.admit().unwrap();
+    for turn in 0..3 {
+        assert_eq!(queue.run(Priority::Viewer, None, |_| ()).await.unwrap_err(), QueueError::Full { waiting: 1 });
+        let rendered = queue.run_admitted(admitted, Priority::Viewer, None, move |_| turn).await.unwrap();
+        assert_eq!(rendered.value, turn);
+        admitted = rendered.admitted;
+    }
+    drop(admitted);
+    assert_eq!(queue.run(Priority::Viewer, None, |_| 5).await.unwrap().value, 5);
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn idle_work_whose_caller_left_is_never_begun_and_a_panic_of_it_is_told() {
     let queue = queue(8);
     let (release, held) = hold(&queue);
-    let mut left = Box::pin(queue.run_idle(|order| *order = 9));
+    let mut left = Box::pin(queue.run_idle(Idle::Ahead, |order| *order = 9));
     assert!(futures_poll_once(left.as_mut()).await.is_none());
     drop(left);
     release.send(()).unwrap();
     held.await.unwrap();
-    assert_eq!(queue.run_idle(|order| *order).await, Ok(0));
-    assert_eq!(queue.run_idle(|_| -> u32 { panic!("on purpose") }).await, Err(QueueError::Panicked("on purpose".into())));
-    assert_eq!(queue.run_idle(|order| *order).await, Ok(0));
+    assert_eq!(queue.run_idle(Idle::Ahead, |order| *order).await, Ok(0));
+    assert_eq!(queue.run_idle(Idle::Ahead, |_| -> u32 { panic!("on purpose") }).await, Err(QueueError::Panicked("on purpose".into())));
+    assert_eq!(queue.run_idle(Idle::Ahead, |order| *order).await, Ok(0));
 }

@@ -3,21 +3,23 @@
 //! is nothing to draw, pages are brought that a moving viewer's next frame will want.
 //!
 //! A viewer that asked for a rate is *moving* while poses or settings keep coming: its frames are as large as `pace` says. Once nothing new
-//! has come for a moment it is *still*, and is shown the full size; a new pose drops that frame where its rendering has not begun.
+//! has come for a moment it is *still*, and is shown the full size; a new pose drops that frame where its rendering has not begun. What several
+//! passes make better (`still`) is then refined, a pass at a time after everyone else's work, and shown again after 2, 4, 8, … passes and the
+//! last; whatever new comes drops it at once.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use lumisphere::geometry::Camera;
-use lumisphere::render::Refine;
 use tokio::sync::{OwnedSemaphorePermit, watch};
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 
 use super::link::Link;
 use super::pace::{Pace, Took, share, smaller};
-use super::{Outbox, Stage, response, status};
+use super::wish::{Change, Sequences, Wish};
+use super::{Outbox, OutboxPlace, Stage, response, status};
 use crate::api::blocking;
 use crate::catalog::OpenedVersion;
 use crate::config::BackendChoice;
@@ -25,8 +27,9 @@ use crate::errors::{ApiError, Reason};
 use crate::frames::FrameOrder;
 use crate::prefetch::{Expected, Motion};
 use crate::render_queue::Priority;
+use crate::still::Still;
 use crate::wire::frames::FrameIdentity;
-use crate::wire::settings::{Output, RenderSettings, check_kind, output, render_settings};
+use crate::wire::settings::{check_kind, output, render_settings};
 use crate::wire::{self, proto};
 use proto::interact_response::Message as Down;
 
@@ -39,6 +42,8 @@ const MOVING_RATES: (f32, f32) = (1.0, 240.0);
 /// A viewer is still when so many frames' time has passed without anything new, within these bounds: a hand that pauses is not at rest.
 const SETTLING_FRAMES: f32 = 5.0;
 const SETTLING_SECONDS: (f32, f32) = (0.05, 0.25);
+/// The same for a viewer that asked for no rate: before its still is refined.
+const SETTLING: Duration = Duration::from_millis(50);
 
 /// A viewer's open interaction.
 pub struct Session {
@@ -55,6 +60,8 @@ pub struct Session {
 
 /// Of a viewer that asked for a rate while it moves.
 struct Moving {
+    /// Between two frames, as asked for.
+    interval: Duration,
     settling: Duration,
     measured: Mutex<Measured>,
 }
@@ -72,6 +79,8 @@ enum Owed {
     Better,
     /// A frame of full size, if nothing new comes before.
     FullSize(Instant),
+    /// Further passes of one, if nothing new comes before.
+    Passes(Instant),
 }
 
 /// A wish and how it is drawn.
@@ -82,6 +91,33 @@ struct Turn {
     full: Camera,
     /// The same or a smaller one.
     drawn: Camera,
+}
+
+/// A frame of a turn.
+struct Rendered {
+    frame: proto::Frame,
+    /// Whether nothing stood in for missing pages.
+    all_pages: bool,
+    /// To be refined; None where that is of no use, or has to wait for room.
+    still: Option<Still>,
+    turn: Turn,
+}
+
+/// Which means of a still's passes are shown.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Means {
+    /// Of 2, 4, 8, … passes, and of all.
+    Doubled,
+    /// Of all.
+    Last,
+}
+
+/// What a pass has made of a still.
+struct Refined {
+    /// None where the first pass still waits for pages.
+    still: Option<Still>,
+    /// To be shown.
+    frame: Option<proto::Frame>,
 }
 
 /// Why nothing is shown any more.
@@ -103,40 +139,6 @@ pub struct Update {
     pub settings: Option<proto::SettingsUpdate>,
     /// Credits back.
     pub acknowledge: Option<proto::FrameAcknowledgement>,
-}
-
-/// What the viewer wants to see, as of the last message.
-#[derive(Clone)]
-struct Wish {
-    pose: Option<(u64, Camera)>,
-    settings: RenderSettings,
-    output: Output,
-    /// Of the updates that these came with.
-    sequences: Sequences,
-    /// Increases with every change that needs a new frame.
-    revision: u64,
-    /// When it last did.
-    changed: Instant,
-    /// Poses received.
-    poses: u64,
-    /// All frames up to this one have arrived.
-    acknowledged: u64,
-}
-
-#[derive(Debug, Clone, Copy, Default)]
-struct Sequences {
-    pose: u64,
-    settings: u64,
-    output: u64,
-}
-
-/// An update that was checked.
-struct Change {
-    sequence: u64,
-    pose: Option<(u64, Camera)>,
-    settings: Option<RenderSettings>,
-    output: Option<Output>,
-    acknowledged: u64,
 }
 
 impl Session {
@@ -218,11 +220,18 @@ impl Session {
         let (mut shown, mut owed, mut poses_shown) = (0, Owed::Nothing, self.wish.borrow().poses.saturating_sub(1));
         let (mut motion, mut expected) = (Motion::default(), None);
         let mut sent_at = Instant::now();
+        // Of the wish that was shown last; None also while there is no room for it.
+        let mut still: Option<Still> = None;
         loop {
             let sent = self.sent.load(Ordering::SeqCst);
             let is_new = |wish: &Wish| wish.pose.is_some() && wish.revision > shown && sent - wish.acknowledged < self.credits;
             tokio::select! {
                 biased;
+                // Memory is not kept for what no one wants, credit or not.
+                () = self.until_changed(shown), if still.is_some() => {
+                    (still, owed) = self.abandon();
+                    continue;
+                }
                 wish = wishes.wait_for(is_new) => if wish.is_err() { return ShowEnded::Left },
                 () = self.until_due(owed, sent, last) => {}
                 () = last.cancelled() => return ShowEnded::Left,
@@ -238,6 +247,36 @@ impl Session {
             };
             let asked = wishes.borrow_and_update().clone();
             let Some((pose_id, _)) = asked.pose else { continue };
+            if let Owed::Passes(_) = owed
+                && asked.revision == shown
+            {
+                // Nobody gives credits back any more once the stream is half-closed: the last one is for the last frame.
+                let is_due = self.moving.as_ref().is_none_or(|m| sent_at.elapsed() >= m.interval);
+                let shown_now = if is_due && !last.is_cancelled() { Means::Doubled } else { Means::Last };
+                let refined = tokio::select! {
+                    biased;
+                    () = self.until_changed(shown) => None,
+                    refined = self.refine(still.take(), &asked, sent + 1, shown_now) => Some(refined),
+                };
+                match refined {
+                    Some(Ok(refined)) => {
+                        let is_last = refined.still.as_ref().is_some_and(Still::is_done);
+                        (still, owed) = if is_last { (None, Owed::Nothing) } else { (refined.still, owed) };
+                        if let Some(frame) = refined.frame {
+                            sent_at = self.send(slot, frame, 1.0);
+                        }
+                    }
+                    Some(Err(error)) => {
+                        slot.send(Ok(response(status(&error, pose_id))));
+                        owed = Owed::Nothing;
+                    }
+                    None => (still, owed) = self.abandon(),
+                }
+                continue;
+            }
+            if still.is_some() {
+                (still, owed) = self.abandon();
+            }
             let who = match &self.moving {
                 Some(moving) if last.is_cancelled() || asked.changed.elapsed() >= moving.settling => Priority::Still,
                 _ => Priority::Viewer,
@@ -259,18 +298,22 @@ impl Session {
                 rendered = self.render(&asked, who, sent + 1, begun.clone()) => rendered,
             };
             let turn = match rendered {
-                Ok((mut frame, turn)) => {
-                    owed = match (turn.drawn == turn.full, frame.is_final, &self.moving) {
+                Ok(Rendered { mut frame, all_pages, still: begun, turn }) => {
+                    let settled = turn.wish.changed + self.moving.as_ref().map_or(SETTLING, |moving| moving.settling);
+                    owed = match (turn.drawn == turn.full, all_pages, &self.moving) {
+                        (true, true, _) if turn.wish.settings.passes > 1 => Owed::Passes(settled),
                         (true, true, _) => Owed::Nothing,
-                        (false, _, Some(moving)) => Owed::FullSize(turn.wish.changed + moving.settling),
+                        (false, _, Some(_)) => Owed::FullSize(settled),
                         _ => Owed::Better,
                     };
                     frame.is_final = owed == Owed::Nothing;
-                    self.measure(&frame, share(&turn.drawn, &turn.full), who);
-                    // Before it can be acknowledged.
-                    self.sent.store(sent + 1, Ordering::SeqCst);
-                    slot.send(Ok(response(Down::Frame(frame))));
-                    sent_at = Instant::now();
+                    still = begun;
+                    let share = share(&turn.drawn, &turn.full);
+                    self.measure(&frame, share, who);
+                    let is_held_back = last.is_cancelled() && matches!(owed, Owed::Passes(_));
+                    if !is_held_back {
+                        sent_at = self.send(slot, frame, share);
+                    }
                     turn
                 }
                 // The wish stays due: a viewer at rest sends nothing that would ask again.
@@ -296,12 +339,35 @@ impl Session {
         }
     }
 
+    /// Puts a frame, of this share of the full size's pixels, into its place in the outbox; when.
+    fn send(&self, slot: OutboxPlace<'_>, frame: proto::Frame, share: f32) -> Instant {
+        let now = Instant::now();
+        if let Some(moving) = &self.moving {
+            moving.measured().link.sent(frame.frame_id, share, now.into_std());
+        }
+        // Before it can be acknowledged.
+        self.sent.store(frame.frame_id, Ordering::SeqCst);
+        slot.send(Ok(response(Down::Frame(frame))));
+        now
+    }
+
+    /// Of a still that the viewer has moved on from: what is left, and what is owed of it.
+    fn abandon(&self) -> (Option<Still>, Owed) {
+        self.stage.metrics.refinements_abandoned.inc();
+        (None, Owed::Nothing)
+    }
+
+    /// Until there is another wish than this one.
+    async fn until_changed(&self, shown: u64) {
+        let _ = self.wish.subscribe().wait_for(|wish| wish.revision > shown).await;
+    }
+
     /// Until the frame that is owed is due and has a credit; for ever if none is. One that waits for rest is due when no more messages come.
     async fn until_due(&self, owed: Owed, sent: u64, last: &CancellationToken) {
         match owed {
             Owed::Nothing => std::future::pending().await,
             Owed::Better => {}
-            Owed::FullSize(at) => tokio::select! {
+            Owed::FullSize(at) | Owed::Passes(at) => tokio::select! {
                 () = tokio::time::sleep_until(at) => {}
                 () = last.cancelled() => {}
             },
@@ -327,9 +393,7 @@ impl Session {
         // Who rests stands back, which says nothing of the wait of one who moves.
         let waiting = (who == Priority::Viewer).then(|| seconds(t.queue_micros));
         let took = Took { waiting, own: seconds(t.pages_micros + t.render_micros + t.encode_micros) };
-        let mut measured = moving.measured();
-        measured.pace.drawn(share, took);
-        measured.link.sent(frame.frame_id, share, Instant::now().into_std());
+        moving.measured().pace.drawn(share, took);
     }
 
     /// Brings what the expected frame would miss, once, and never returns.
@@ -348,7 +412,7 @@ impl Session {
     /// The latest wish of the moment when the render thread takes it up, as its frame: of full size where it is still the one that was
     /// asked for at rest, however long it waited.
     /// `begun` is cancelled then.
-    async fn render(&self, asked: &Wish, who: Priority, frame_id: u64, begun: CancellationToken) -> Result<(proto::Frame, Turn), ApiError> {
+    async fn render(&self, asked: &Wish, who: Priority, frame_id: u64, begun: CancellationToken) -> Result<Rendered, ApiError> {
         let (version, moving, upload_bytes) = (self.version.clone(), self.moving.clone(), self.stage.upload_bytes_per_frame);
         let (wishes, asked) = (self.wish.subscribe(), asked.clone());
         let order = move || {
@@ -357,15 +421,37 @@ impl Session {
             let rests = who == Priority::Still && latest.revision == asked.revision;
             let turn = Turn::of(latest, moving.as_deref().filter(|_| !rests));
             let turn = turn.expect("a wish that is asked for has a pose, and keeps one");
-            let (settings, output, refine) = (turn.wish.settings, turn.wish.output, Refine::UpTo { upload_bytes });
-            (FrameOrder { version, camera: turn.drawn, settings, output, opening_micros: 0, refine }, turn)
+            let order = turn.wish.order(version, turn.drawn, upload_bytes);
+            let passes = if turn.drawn == turn.full { order.passes } else { 1 };
+            (FrameOrder { passes, ..order }, turn)
         };
         let begun = Instant::now();
-        let (frame, turn) = self.stage.frames.encoded_late(order, who, None).await?;
-        let pose_id = turn.pose_id;
+        let (frame, still, turn) = self.stage.frames.encoded_late(order, who).await?;
+        let (pose_id, all_pages) = (turn.pose_id, frame.all_pages);
         tracing::debug!(frame_id, pose_id, micros = begun.elapsed().as_micros() as u64, "frame");
-        let identity = FrameIdentity { frame_id, pose_id, dataset: self.version.dataset.clone(), dataset_version: self.version.version };
-        Ok((wire::frames::frame(frame, identity), turn))
+        Ok(Rendered { frame: wire::frames::frame(frame, self.identity(frame_id, pose_id)), all_pages, still, turn })
+    }
+
+    /// One more pass of the wish that was shown, which still stands; its frame where it is one that is shown.
+    async fn refine(&self, still: Option<Still>, asked: &Wish, frame_id: u64, shown_now: Means) -> Result<Refined, ApiError> {
+        let (pose_id, camera) = asked.pose.expect("a wish that was shown has a pose");
+        let before = still.as_ref().map_or(0, Still::passes);
+        let order = asked.order(self.version.clone(), camera, self.stage.upload_bytes_per_frame);
+        let still = self.stage.frames.refined(still, order).await?;
+        let is_shown = |passes: u32| passes > before.max(1) && passes.is_power_of_two() && shown_now == Means::Doubled;
+        match still {
+            Some(still) if still.is_done() || is_shown(still.passes()) => {
+                let (frame, still) = self.stage.frames.encoded_still(still).await?;
+                tracing::debug!(frame_id, pose_id, passes = still.passes(), "frame refined");
+                let frame = wire::frames::frame(frame, self.identity(frame_id, pose_id));
+                Ok(Refined { still: Some(still), frame: Some(frame) })
+            }
+            still => Ok(Refined { still, frame: None }),
+        }
+    }
+
+    fn identity(&self, frame_id: u64, pose_id: u64) -> FrameIdentity {
+        FrameIdentity { frame_id, pose_id, dataset: self.version.dataset.clone(), dataset_version: self.version.version }
     }
 }
 
@@ -387,7 +473,8 @@ impl Moving {
         let rate = wire::within(frames_per_second, MOVING_RATES.0, MOVING_RATES.1, field)?;
         let settling = (SETTLING_FRAMES / rate).clamp(SETTLING_SECONDS.0, SETTLING_SECONDS.1);
         let measured = Measured { pace: Pace::new(rate), link: Link::default() };
-        Ok(Some(Arc::new(Self { settling: Duration::from_secs_f32(settling), measured: Mutex::new(measured) })))
+        let [interval, settling] = [1.0 / rate, settling].map(Duration::from_secs_f32);
+        Ok(Some(Arc::new(Self { interval, settling, measured: Mutex::new(measured) })))
     }
 
     fn measured(&self) -> MutexGuard<'_, Measured> {
@@ -411,30 +498,5 @@ impl Measured {
     fn forget_link(&mut self) {
         self.link = Link::default();
         self.pace.forget_link();
-    }
-}
-
-impl Wish {
-    /// What a later update has not overtaken.
-    fn apply(&mut self, change: Change) {
-        let Change { sequence, pose, settings, output, acknowledged } = change;
-        let before = self.revision;
-        if let Some(pose) = pose.filter(|_| sequence >= self.sequences.pose) {
-            (self.pose, self.sequences.pose) = (Some(pose), sequence);
-            self.poses += 1;
-            self.revision = before + 1;
-        }
-        if let Some(settings) = settings.filter(|_| sequence >= self.sequences.settings) {
-            (self.settings, self.sequences.settings) = (settings, sequence);
-            self.revision = before + 1;
-        }
-        if let Some(output) = output.filter(|_| sequence >= self.sequences.output) {
-            (self.output, self.sequences.output) = (output, sequence);
-            self.revision = before + 1;
-        }
-        if self.revision > before {
-            self.changed = Instant::now();
-        }
-        self.acknowledged = self.acknowledged.max(acknowledged);
     }
 }

@@ -31,6 +31,10 @@ pub struct EncodedFrame {
     pub adapter: Option<String>,
     /// No better frame of this pose follows.
     pub is_final: bool,
+    /// Nothing stood in for missing pages.
+    pub all_pages: bool,
+    /// That the colour is the mean of.
+    pub passes_done: u32,
 }
 
 /// What a frame answers.
@@ -68,6 +72,43 @@ pub fn cache_use(asked: &CacheStats, adapter: Option<&AdapterUse>) -> proto::Fra
         wait_micros: asked.wait_nanos / 1000,
         adapter: adapter.map(adapter_use),
     }
+}
+
+/// Adds what another pass of the same frame asked of the cache.
+pub fn add_cache_use(sum: &mut proto::FrameCacheUse, pass: &proto::FrameCacheUse) {
+    let of_adapter = |adapter: &Option<proto::AdapterCacheUse>| adapter.unwrap_or_default();
+    let (mut whole, part) = (of_adapter(&sum.adapter), of_adapter(&pass.adapter));
+    let counts = [
+        (&mut sum.look_ups, pass.look_ups),
+        (&mut sum.hits, pass.hits),
+        (&mut sum.misses, pass.misses),
+        (&mut sum.read_bytes, pass.read_bytes),
+        (&mut sum.texel_fetches, pass.texel_fetches),
+        (&mut sum.texel_misses, pass.texel_misses),
+        (&mut sum.page_visits, pass.page_visits),
+        (&mut sum.visit_misses, pass.visit_misses),
+        (&mut sum.coalesced, pass.coalesced),
+        (&mut sum.blocks_read, pass.blocks_read),
+        (&mut sum.rows_decoded, pass.rows_decoded),
+        (&mut sum.bytes_decoded, pass.bytes_decoded),
+        (&mut sum.rows_redundant, pass.rows_redundant),
+        (&mut sum.bytes_redundant, pass.bytes_redundant),
+        (&mut sum.read_micros, pass.read_micros),
+        (&mut sum.decode_micros, pass.decode_micros),
+        (&mut sum.wait_micros, pass.wait_micros),
+        (&mut whole.look_ups, part.look_ups),
+        (&mut whole.hits, part.hits),
+        (&mut whole.misses, part.misses),
+        (&mut whole.uploads, part.uploads),
+        (&mut whole.bytes_uploaded, part.bytes_uploaded),
+        (&mut whole.evictions, part.evictions),
+        (&mut whole.prefetch_used, part.prefetch_used),
+        (&mut whole.prefetch_wasted, part.prefetch_wasted),
+        (&mut whole.upload_micros, part.upload_micros),
+    ];
+    counts.into_iter().for_each(|(sum, count)| *sum += count);
+    whole.passes = whole.passes.max(part.passes);
+    sum.adapter = sum.adapter.or(pass.adapter).map(|_| whole);
 }
 
 fn adapter_use(work: &AdapterUse) -> proto::AdapterCacheUse {
@@ -109,5 +150,6 @@ pub fn frame(frame: EncodedFrame, identity: FrameIdentity) -> proto::Frame {
         backend: backend as i32,
         adapter: frame.adapter.unwrap_or_default(),
         is_final: frame.is_final,
+        passes_done: frame.passes_done,
     }
 }

@@ -6,7 +6,7 @@ use lumisphere::representations::offset_surface_light_field as oslf;
 use lumisphere::representations::{Settings, parameter_map};
 
 use super::camera::vec3;
-use super::{proto, required, within};
+use super::{count, proto, required, within};
 use crate::config::BackendChoice;
 use crate::errors::{ApiError, Reason};
 
@@ -28,6 +28,8 @@ pub struct RenderSettings {
     pub settings: Settings,
     /// Where.
     pub backend: BackendChoice,
+    /// Of a still, at least 1; 1 where a second would be no other than the first.
+    pub passes: u32,
 }
 
 /// What is returned.
@@ -66,11 +68,14 @@ pub enum Encoding {
 pub fn render_settings(message: Option<proto::RenderSettings>, field: &str) -> Result<RenderSettings, ApiError> {
     use proto::render_settings::Representation;
     let message = required(message, field)?;
-    let settings = match required(message.representation, &format!("{field}.representation"))? {
+    let (settings, passes) = match required(message.representation, &format!("{field}.representation"))? {
         Representation::OffsetSurfaceLightField(m) => {
-            Settings::OffsetSurfaceLightField(oslf_settings(m, &format!("{field}.offset_surface_light_field"))?)
+            let field = format!("{field}.offset_surface_light_field");
+            let passes = m.gloss.as_ref().map_or(0, |gloss| gloss.passes);
+            let settings = oslf_settings(m, &field)?;
+            (Settings::OffsetSurfaceLightField(settings), passes_of(&settings, passes, &field)?)
         }
-        Representation::ParameterMap(m) => Settings::ParameterMap(parameter_map_settings(m, &format!("{field}.parameter_map"))?),
+        Representation::ParameterMap(m) => (Settings::ParameterMap(parameter_map_settings(m, &format!("{field}.parameter_map"))?), 1),
     };
     let backend = match proto::Backend::try_from(message.backend) {
         Ok(proto::Backend::Unspecified) => BackendChoice::Auto,
@@ -78,7 +83,7 @@ pub fn render_settings(message: Option<proto::RenderSettings>, field: &str) -> R
         Ok(proto::Backend::Cpu) => BackendChoice::Cpu,
         Err(_) => return Err(ApiError::field(format!("{field}.backend"), format!("{}, GPU or CPU expected", message.backend))),
     };
-    Ok(RenderSettings { settings, backend })
+    Ok(RenderSettings { settings, backend, passes })
 }
 
 /// Refuses settings for another kind than the dataset's.
@@ -161,7 +166,15 @@ fn gloss(message: Option<proto::offset_surface_light_field_settings::Gloss>, fie
     if directions > oslf::MOST_DIRECTIONS {
         return Err(ApiError::field(format!("{field}.directions"), format!("{directions}, 1 to {} expected", oslf::MOST_DIRECTIONS)));
     }
-    Ok(oslf::Gloss { brdf, directions })
+    Ok(oslf::Gloss { brdf, directions, pass: 0 })
+}
+
+/// `gloss` is ignored for what is not glossy, its passes included.
+fn passes_of(settings: &oslf::Settings, passes: u32, field: &str) -> Result<u32, ApiError> {
+    match settings.component {
+        oslf::Component::Glossy(_) => count(passes, 1, 1, oslf::MOST_PASSES, &format!("{field}.gloss.passes")),
+        oslf::Component::Reconstruction | oslf::Component::Mirror | oslf::Component::Full => Ok(1),
+    }
 }
 
 fn blend(value: i32, exponent: f32, field: &str) -> Result<oslf::Blend, ApiError> {
@@ -245,7 +258,7 @@ mod tests {
         assert!(refused(3, 77).starts_with("s.blend: 77"));
         assert!(refused(4, 1).starts_with("s.gloss"));
         let glossy = |brdf: &str, directions| {
-            let gloss = proto::offset_surface_light_field_settings::Gloss { brdf: brdf.into(), directions };
+            let gloss = proto::offset_surface_light_field_settings::Gloss { brdf: brdf.into(), directions, passes: 0 };
             oslf_settings(proto::OffsetSurfaceLightFieldSettings { gloss: Some(gloss), ..message(4, 1) }, "s")
         };
         let lambert = r#"{"model": "lambert", "albedo": [0.5, 0.5, 0.5]}"#;
@@ -270,6 +283,20 @@ mod tests {
             ..message(2, 4)
         };
         assert!(oslf_settings(bright, "s").unwrap_err().to_string().starts_with("s.specular_reflectance.y: 1.5"));
+    }
+
+    #[test]
+    fn passes_are_of_glossy_stills_alone_and_bounded() {
+        let with = |component, passes| {
+            let brdf = r#"{"model": "lambert", "albedo": [0.5, 0.5, 0.5]}"#.into();
+            let gloss = proto::offset_surface_light_field_settings::Gloss { brdf, directions: 0, passes };
+            let field = proto::OffsetSurfaceLightFieldSettings { gloss: Some(gloss), ..message(component, 1) };
+            let representation = Some(proto::render_settings::Representation::OffsetSurfaceLightField(field));
+            render_settings(Some(proto::RenderSettings { representation, backend: 0 }), "s").map(|s| s.passes)
+        };
+        assert_eq!([with(4, 0).unwrap(), with(4, 1).unwrap(), with(4, 256).unwrap(), with(2, 9999).unwrap()], [1, 1, 256, 1]);
+        let error = with(4, 257).unwrap_err().to_string();
+        assert_eq!(error, "s.offset_surface_light_field.gloss.passes: 257, 1 to 256 expected");
     }
 
     #[test]

@@ -13,7 +13,6 @@ use super::views::cameras;
 use crate::errors::ApiError;
 use crate::frames::{FrameOrder, color_image};
 use crate::jobs::{Attempt, Outcome, ResultBlob};
-use crate::render_queue::Priority;
 use crate::wire::jobs::{EvaluateSpec, Truth};
 use crate::wire::settings::{Encoding, Output};
 
@@ -42,11 +41,11 @@ impl Work {
         let mut render = |camera: &Camera, setting: usize| {
             let output = Output { encoding: Encoding::RawZstd, depth: false, provenance: false };
             let (version, settings, refine) = (version.clone(), spec.settings[setting], Refine::Whole);
-            let order = FrameOrder { version, camera: *camera, settings, output, opening_micros: 0, refine };
-            let rendered = self.runtime.block_on(self.frames.render(order, Priority::Batch, None))?;
-            let frame = &rendered.value.frame;
-            let (color, stats) = (color_image(frame), &frame.stats);
-            Ok(RenderedView { color, millis: stats.total_millis, backend: stats.backend, device_bytes: stats.device_bytes })
+            let passes = settings.passes;
+            let still =
+                self.still(FrameOrder { version, camera: *camera, settings, output, opening_micros: 0, refine, passes }, attempt)?;
+            let color = color_image(&still);
+            Ok::<_, ApiError>(RenderedView { color, millis: still.millis, backend: still.backend, device_bytes: still.device_bytes })
         };
         let mut keep = |picture: Picture<'_>| self.keep_picture(picture, &mut blobs);
         let begun = Instant::now();

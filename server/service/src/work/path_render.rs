@@ -8,7 +8,6 @@ use super::views::cameras;
 use crate::errors::ApiError;
 use crate::frames::FrameOrder;
 use crate::jobs::{Attempt, Outcome, ResultBlob, cancelled};
-use crate::render_queue::Priority;
 use crate::wire::jobs::PathRenderSpec;
 use crate::wire::settings::Encoding;
 
@@ -24,10 +23,10 @@ impl Work {
             if attempt.is_cancelled() {
                 return Err(cancelled());
             }
-            let (settings, output) = (spec.settings, spec.output);
-            let order =
-                FrameOrder { version: version.clone(), camera: *camera, settings, output, opening_micros: 0, refine: Refine::Whole };
-            let frame = self.runtime.block_on(self.frames.encoded(order, Priority::Batch, None))?;
+            let (settings, output, refine) = (spec.settings, spec.output, Refine::Whole);
+            let passes = settings.passes;
+            let order = FrameOrder { version: version.clone(), camera: *camera, settings, output, opening_micros: 0, refine, passes };
+            let frame = self.encoded(self.still(order, attempt)?)?;
             micros.push(frame.timings.render_micros);
             blobs.push(self.keep(format!("frame-{i:05}.{extension}"), media_type, &frame.color)?);
             for (name, bytes) in [("depth", &frame.depth), ("provenance", &frame.provenance)] {

@@ -6,6 +6,11 @@
 //! `Filter::Footprint` each reads the mean over its share of the lobe, `1/(M·p)` (filtered importance sampling: Křivánek & Colbert 2008),
 //! and of what the pixel covers of a mirror's image: a few tens of directions do then. With `Filter::Bilinear` it reads four
 //! texels, as in the paper, and M directions show as M images of what is bright.
+//!
+//! A still is the mean of passes: pass k draws the directions kM … (k+1)M − 1 of the one sequence, each with a share of all (k+1)M so far. The
+//! first pass is a frame as it is shown in motion. What a share takes in beside its direction is an error that grows with its solid angle: of
+//! pass k it is 1/(k+1) of the first's, of P passes' mean (1 + 1/2 + … + 1/P)/P of it, about (ln P + 0.58)/P. The integral itself, as far as what
+//! is stored tells it, is the limit; `covered` stays, being what the pixel shows.
 
 use glam::{Vec2, Vec3};
 
@@ -32,19 +37,21 @@ pub(super) fn glossy(
     candidates: [u16; 4],
     cubes: &mut dyn ReadCube,
 ) -> Result<Shaded, RenderError> {
-    let first = candidates.into_iter().find(|j| *j != NO_SAMPLE).map(u32::from);
+    let nearest = candidates.into_iter().find(|j| *j != NO_SAMPLE).map(u32::from);
     let baseline = (settings.blend == Blend::EnvironmentMap).then_some(field.sample_points.len() as u32);
-    let Some(sample) = baseline.or(first) else { return Ok(NOTHING) };
+    let Some(sample) = baseline.or(nearest) else { return Ok(NOTHING) };
     let white = Settings { specular_reflectance: Vec3::ONE, ..*settings };
     let frame = TangentFrame::along(at.normal, tangent);
     let wo = frame.local_from_world(-at.direction);
     let pixel = mirrored(at, by);
     let covered = pixel.across.cross(pixel.down).length();
     let (mut radiance, mut is_filled) = (Vec3::ZERO, false);
-    for number in 0..gloss.directions {
+    let first = gloss.first_direction();
+    let sharing = first + gloss.directions;
+    for number in first..sharing {
         let Some((wi, density)) = gloss.brdf.sample(wo, place(number)) else { continue };
         let weight = gloss.brdf.eval(wo, wi) * (wi.z / density);
-        let solid_angle = OVERLAP / (gloss.directions as f32 * density) + covered;
+        let solid_angle = OVERLAP / (sharing as f32 * density) + covered;
         let look = spread(frame.world_from_local(wi), solid_angle, settings.filter);
         let found = radiance_toward(field, &white, at, by, &look, candidates, cubes)?;
         radiance += weight * found.radiance;

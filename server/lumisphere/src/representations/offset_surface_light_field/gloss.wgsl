@@ -14,11 +14,12 @@ fn glossy(at: Sight, across: Sight, down: Sight, tangent: vec3<f32>, candidates:
     let covered = length(cross(pixel.across, pixel.down));
     var radiance = vec3(0.0);
     var is_filled = false;
-    for (var number = 0u; number < shading.directions; number++) {
+    let sharing = shading.first_direction + shading.directions;
+    for (var number = shading.first_direction; number < sharing; number++) {
         let drawn = brdf_sample(gloss, wo, place(number));
         if drawn.pdf > 0.0 {
             let weight = brdf_eval(gloss, wo, drawn.wi) * (drawn.wi.z / drawn.pdf);
-            let solid_angle = OVERLAP / (f32(shading.directions) * drawn.pdf) + covered;
+            let solid_angle = OVERLAP / (f32(sharing) * drawn.pdf) + covered;
             let look = spread(world_from_local(frame, drawn.wi), solid_angle);
             let found = radiance_toward(at, across, down, look, candidates);
             radiance += weight * found.radiance;

@@ -52,6 +52,8 @@ pub(crate) struct ShadingUniform {
     pub pixel_scale: f32,
     pub directions: u32,
     pub block_shift: u32,
+    pub first_direction: u32,
+    pub padding: [u32; 3],
 }
 
 // A page's rows come in blocks of so many, as they are stored, or in as many blocks as a word has bits.

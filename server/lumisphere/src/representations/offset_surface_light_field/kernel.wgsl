@@ -23,6 +23,8 @@ struct Shading {
     directions: u32,
     // Rows of a page that come together: 2 to this power.
     block_shift: u32,
+    // Of GLOSSY: those before it are of earlier passes.
+    first_direction: u32,
 }
 
 @group(1) @binding(0) var<storage, read> object_triangles: array<u32>;

@@ -61,6 +61,8 @@ pub const RUNTIME_HORIZON_DEG: f32 = 65.0;
 const FOOTPRINT_WIDTH: f32 = 0.75;
 /// Most directions of [`Gloss`].
 pub const MOST_DIRECTIONS: u32 = 4096;
+/// Most passes of a still: of most directions, a million a pixel.
+pub const MOST_PASSES: u32 = 256;
 /// Most of a frame, over all its pixels: 1920 × 1080 of 64 each; on a rasteriser in software that is a minute.
 pub const MOST_DIRECTIONS_PER_FRAME: u64 = 1 << 27;
 /// Marks "no such sample point" in a sample map.
@@ -165,6 +167,16 @@ pub struct Gloss {
     pub brdf: AnalyticBrdf,
     /// Directions drawn from it, 1 to [`MOST_DIRECTIONS`], and at most [`MOST_DIRECTIONS_PER_FRAME`] for all pixels.
     pub directions: u32,
+    /// Which pass of a still, 0 to [`MOST_PASSES`] − 1; 0 for a frame that is shown alone. The mean of passes 0 … P − 1
+    /// ([`Accumulator`](crate::render::Accumulator)) goes to the integral as P grows (`gloss.rs` says how fast).
+    pub pass: u32,
+}
+
+impl Gloss {
+    /// Number of its first direction in the sequence that all passes share.
+    fn first_direction(&self) -> u32 {
+        self.pass * self.directions
+    }
 }
 
 /// Weights βⱼ of the texel's sample points in a mirror read; each set is normalised to sum 1.

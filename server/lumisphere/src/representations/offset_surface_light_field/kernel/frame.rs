@@ -206,6 +206,8 @@ impl Kernel {
             pixel_scale: pixel_scale as f32,
             directions: gloss.map_or(0, |gloss| gloss.directions),
             block_shift: shape.block_rows.trailing_zeros(),
+            first_direction: gloss.map_or(0, |gloss| gloss.first_direction()),
+            padding: [0; 3],
         };
         self.gpu.queue().write_buffer(&self.shading, 0, bytemuck::bytes_of(&uniform));
         let (band, atlas) = (self.band.as_ref().expect("made before"), self.atlas.as_ref().expect("made before"));

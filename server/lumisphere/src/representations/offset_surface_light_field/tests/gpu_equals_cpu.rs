@@ -122,8 +122,10 @@ fn glossy_frames_in_ranges_have_no_seam() {
     let Some(mut twins) = Twins::new(WORLD.build(), BUDGET) else { return };
     let camera = WORLD.camera(Vec3::new(0.4, 0.3, 1.5), Vec3::ZERO, 40, 30);
     let brdf = serde_json::from_str(r#"{"model": "lambert", "albedo": [0.5, 0.6, 0.7]}"#).unwrap();
-    let of =
-        |directions| Settings { filter: Filter::Footprint, ..settings(Component::Glossy(Gloss { brdf, directions }), Blend::Distance) };
+    let of = |directions| Settings {
+        filter: Filter::Footprint,
+        ..settings(Component::Glossy(Gloss { brdf, directions, pass: 0 }), Blend::Distance)
+    };
     let (whole, _) = twins.on_gpu(&camera, of(1024)).unwrap();
     let (parts, _) = twins.on_gpu(&camera, of(4096)).unwrap();
     let (_, stats) = twins.on_gpu(&camera, of(4096)).unwrap();
@@ -148,8 +150,8 @@ fn glossy_shading_agrees_for_every_model() {
     ];
     for brdf in models.map(|json| serde_json::from_str(json).unwrap()) {
         let reads = [(Blend::Average, Filter::Bilinear), (Blend::Corrected, Filter::Footprint), (Blend::EnvironmentMap, Filter::Footprint)];
-        for (blend, filter) in reads {
-            let settings = Settings { filter, ..settings(Component::Glossy(Gloss { brdf, directions: 12 }), blend) };
+        for ((blend, filter), pass) in reads.into_iter().flat_map(|read| [0, 5].map(|pass| (read, pass))) {
+            let settings = Settings { filter, ..settings(Component::Glossy(Gloss { brdf, directions: 12, pass }), blend) };
             let (pixels, _) = twins.on_gpu(&camera, settings).unwrap();
             let g_buffer = twins.kernel.read_g_buffer();
             let (color, provenance) = twins.shaded(&camera, settings, &g_buffer);
@@ -360,7 +362,8 @@ fn the_uniform_lies_in_memory_as_wgsl_has_it() {
             end_pixel,
             pixel_scale,
             directions,
-            block_shift
+            block_shift,
+            first_direction
         }
     );
 }
