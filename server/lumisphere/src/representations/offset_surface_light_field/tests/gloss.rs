@@ -153,7 +153,7 @@ fn difference(a: &Pixels, b: &Pixels) -> (f32, f32) {
     ((error / at as f32).sqrt(), (power / at as f32).sqrt())
 }
 
-/// Sixteen directions of a wide lobe under a small sun, and 16 384, whose error is a hundredth of theirs. The shares' error of P passes is
+/// Sixteen directions of a wide lobe under a small sun, and 16 384, whose shares are a thousandth of theirs. The shares' error of P passes is
 /// (1 + 1/2 + … + 1/P)/P of the first's: 0.52, 0.21, 0.074 for 4, 16 and 64.
 #[test]
 fn the_mean_of_passes_goes_to_the_integral() {
