@@ -12,8 +12,8 @@ use wire::interact_response::Message as Down;
 use crate::context::{Context, Server};
 use crate::exit::Failure;
 
-/// Messages on their way up; a viewer who sends more waits.
-const OUTBOX: usize = 4;
+/// Messages on their way up: more than anyone types before a server that stalls is noticed. Who sends more waits.
+const OUTBOX: usize = 1024;
 
 /// An open stream; dropping it ends it.
 pub struct Interaction {

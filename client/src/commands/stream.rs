@@ -14,14 +14,14 @@ use crate::commands::render::version_of;
 use crate::context::Context;
 use crate::exit::Failure;
 use crate::files::Existing;
-use crate::interaction::{Interaction, Wanted};
+use crate::interaction::{Answer, Interaction, Wanted};
 use crate::output::bytes_text;
 use crate::progress::{Meter, Progress};
 use crate::render_settings::{Format, OutputFlags, SettingsFlags};
 use crate::target::{TargetFlags, alone_or_chosen};
 use crate::video::{ColourFlags, FrameRate};
 use crate::viewer_path::{PathKind, ViewerPaths};
-use sink::{Destination, Sink};
+use sink::{Destination, Sink, Slot};
 
 /// Frames that the server may send ahead of their acknowledgement: a coarse one and the one that is final.
 const CREDITS: u32 = 2;
@@ -118,18 +118,36 @@ pub async fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<()>
         let left = (step > 0).then(|| begun.elapsed().as_secs_f64() / step as f64 * (path.frames - step) as f64);
         meter.update(Progress { stage: "streaming", done: step, total: path.frames, seconds_left: left, detail: "" });
         // Room first: a frame waits for who reads, and is not asked for before.
-        let slot = sink.slot().await?;
+        let slot = slot(&mut sink, &mut interaction).await?;
         let asked = Instant::now();
         interaction.look(step + 1, path.viewer.camera(0, step)?).await;
         let frame = interaction.frame(step + 1, wanted).await.map_err(|e| e.context(format!("frame {step}")))?;
         seconds.push(asked.elapsed().as_secs_f64());
         slot.send(frame);
     }
-    interaction.close().await?;
+    match wanted {
+        Wanted::Final => interaction.close().await?,
+        // What would still make the last one better is not waited for.
+        Wanted::First => drop(interaction),
+    }
     let bytes = sink.finish().await?;
     meter.finish();
     let summary = Summary::of(arguments, (target.dataset, version.version), bytes, begun.elapsed().as_secs_f64(), seconds);
     summary.tell(&arguments.out, context)
+}
+
+/// Room for a frame. Better ones of the last, which come meanwhile where the first was taken, go.
+async fn slot(sink: &mut Sink, interaction: &mut Interaction) -> anyhow::Result<Slot> {
+    loop {
+        tokio::select! {
+            biased;
+            slot = sink.slot() => return slot,
+            answer = interaction.next() => match answer? {
+                Answer::Frame(frame) => interaction.acknowledge(&frame).await,
+                Answer::Refused(status) => return Err(status.into()),
+            },
+        }
+    }
 }
 
 /// A video is made of codes.

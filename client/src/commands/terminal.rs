@@ -100,7 +100,8 @@ pub async fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<()>
     check(arguments, is_terminal)?;
     let server = context.connect().await?;
     let (version, kind) = version_of(context, &server, &arguments.dataset, arguments.version).await?;
-    let bounds = version.object_bounds.ok_or_else(|| Failure::Precondition("the dataset tells no object's box to look at".into()))?;
+    let bounds = version.object_bounds.filter(|bounds| radius(bounds).is_finite());
+    let bounds = bounds.ok_or_else(|| Failure::Precondition("the dataset tells no object's box to look at".into()))?;
     let open = wire::OpenInteraction {
         dataset: arguments.dataset.clone(),
         version: version.version,
@@ -117,7 +118,13 @@ pub async fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<()>
     let Arguments { azimuth_deg, elevation_deg, distance_radii, fov_deg, .. } = *arguments;
     let home = Viewpoint::around(&bounds, azimuth_deg, elevation_deg, distance_radii, fov_deg);
     if arguments.once {
-        return print_once(arguments, context, &server, open, &home, is_terminal).await;
+        // Heard from now on, acted upon once the terminal has answered and is as it was.
+        let mut ends = Ends::listen()?;
+        return tokio::select! {
+            biased;
+            printed = print_once(arguments, context, &server, open, &home, is_terminal) => printed,
+            () = ends.come() => Err(Failure::Interrupted { note: None }.into()),
+        };
     }
     let title = format!("{} v{}", arguments.dataset, version.version);
     let interaction = Interaction::open(context, &server, open).await?;
@@ -209,6 +216,7 @@ async fn print_once(
 
 /// A viewer at a terminal.
 struct Live {
+    ends: Ends,
     interaction: Interaction,
     screen: Screen,
     protocol: Protocol,
@@ -273,6 +281,8 @@ fn events() -> mpsc::Receiver<io::Result<Event>> {
 impl Live {
     /// Takes the terminal and asks it.
     fn begin(arguments: &Arguments, interaction: Interaction, steering: Steering, title: String) -> anyhow::Result<Self> {
+        // Before anything that a signal must not leave as it is.
+        let ends = Ends::listen()?;
         let screen = Screen::take().context("cannot take the terminal")?;
         let answers = ask().context("cannot ask the terminal")?;
         let protocol = arguments.protocol.unwrap_or(best(answers));
@@ -280,18 +290,17 @@ impl Live {
             screen.has_pictures();
         }
         let (asked, news) = (Instant::now(), String::new());
-        Ok(Self { interaction, screen, protocol, answers, cells: cells(), steering, title, pose_id: 0, asked, news })
+        Ok(Self { ends, interaction, screen, protocol, answers, cells: cells(), steering, title, pose_id: 0, asked, news })
     }
 
     async fn run(mut self) -> anyhow::Result<()> {
-        let mut ends = Ends::listen()?;
         let mut events = events();
         self.screen.clear()?;
         self.look().await;
         self.show(&[])?;
         loop {
             tokio::select! {
-                () = ends.come() => return Err(Failure::Interrupted { note: None }.into()),
+                () = self.ends.come() => return Err(Failure::Interrupted { note: None }.into()),
                 event = events.recv() => {
                     // All that have come: only the place where they lead to is worth a frame.
                     let (mut has_moved, mut next) = (false, event);

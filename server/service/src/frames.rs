@@ -165,11 +165,12 @@ impl Frames {
 
     /// The first pass of a still, which waits for room if it is one of several.
     pub async fn first_pass(&self, order: FrameOrder, caller: Caller) -> Result<Still, ApiError> {
-        let admitted = self.queue.admit().map_err(|e| self.refused(e))?;
+        // Room first: who waits for it takes no place in the queue from those who need none.
         let room = match order.passes {
             1 => None,
             _ => Some(self.rooms.of_call(&order, caller).await?),
         };
+        let admitted = self.queue.admit().map_err(|e| self.refused(e))?;
         let work = self.pass(order.clone(), 0);
         let run = self.queue.run_admitted(admitted, caller.who, caller.deadline, work);
         let Rendered { value, queued, slot, admitted } = run.await.map_err(|e| self.refused(e))?;

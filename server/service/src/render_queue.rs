@@ -321,7 +321,10 @@ impl<R> Line<R> {
                 let slot = Slot(self.clone());
                 return Some(Box::new(move |renderer| (first.render)(renderer, slot)));
             }
-            if let Some(work) = state.idle.iter_mut().find_map(Option::take) {
+            // Renders that wait for a slot go before what nobody waits for.
+            if state.renders.is_empty()
+                && let Some(work) = state.idle.iter_mut().find_map(Option::take)
+            {
                 return Some(work);
             }
             state = self.changed.wait(state).unwrap_or_else(PoisonError::into_inner);

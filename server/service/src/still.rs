@@ -20,6 +20,8 @@ use crate::wire::proto;
 
 /// Unary calls.
 const CALLS: usize = 4;
+/// Of those who wait to be among them; more are refused.
+const WAITING_CALLS: usize = 64;
 /// Sessions.
 const VIEWERS: usize = 8;
 /// Of a colour, and of a distance or a provenance.
@@ -30,6 +32,7 @@ const WORD_BYTES: u64 = 4;
 #[derive(Clone)]
 pub struct Rooms {
     calls: Arc<Semaphore>,
+    waiting_calls: Arc<Semaphore>,
     viewers: Arc<Semaphore>,
     metrics: Arc<Metrics>,
 }
@@ -75,7 +78,8 @@ pub struct Still {
 impl Rooms {
     /// All empty.
     pub fn new(metrics: Arc<Metrics>) -> Self {
-        Self { calls: Arc::new(Semaphore::new(CALLS)), viewers: Arc::new(Semaphore::new(VIEWERS)), metrics }
+        let places = |count: usize| Arc::new(Semaphore::new(count));
+        Self { calls: places(CALLS), waiting_calls: places(WAITING_CALLS), viewers: places(VIEWERS), metrics }
     }
 
     /// For the still of a call or a job; a call waits until there is room.
@@ -83,6 +87,8 @@ impl Rooms {
         if caller.who == Priority::Batch {
             return Ok(self.room(order, None));
         }
+        let full = || ApiError::new(Reason::RenderQueueFull, format!("{WAITING_CALLS} stills wait already"));
+        let _waiting = self.waiting_calls.try_acquire().map_err(|_| full())?;
         let late = || ApiError::new(Reason::DeadlineExceeded, "the deadline passed before the still was begun");
         let place = self.calls.clone().acquire_owned();
         let deadline = caller.deadline.unwrap_or_else(|| Instant::now() + Duration::from_secs(86_400));

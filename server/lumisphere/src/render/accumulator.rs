@@ -2,7 +2,8 @@
 //! ([`Settings::of_pass`](super::Settings::of_pass)) and shows their mean: the server's unary frames, its sessions and evaluations alike.
 //!
 //! Colour is a running mean in f32, `m ← m + (x − m)/k`, pass by pass in their order: the same passes give the same bytes, whoever asks.
-//! Whatever a pass has, the mean stays between the least and the greatest. Distances and provenance are pass 0's: they do not change.
+//! Whatever a pass has, the mean stays between the least and the greatest. Distances are pass 0's, as they are all others'; so is
+//! provenance, which does not tell where a later pass has filled in what no sample point knows.
 
 use super::Pixels;
 

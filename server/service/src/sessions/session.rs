@@ -419,10 +419,11 @@ impl Session {
             begun.cancel();
             let latest = wishes.borrow().clone();
             let rests = who == Priority::Still && latest.revision == asked.revision;
+            let begins_still = rests || moving.is_none();
             let turn = Turn::of(latest, moving.as_deref().filter(|_| !rests));
             let turn = turn.expect("a wish that is asked for has a pose, and keeps one");
             let order = turn.wish.order(version, turn.drawn, upload_bytes);
-            let passes = if turn.drawn == turn.full { order.passes } else { 1 };
+            let passes = if begins_still && turn.drawn == turn.full { order.passes } else { 1 };
             (FrameOrder { passes, ..order }, turn)
         };
         let begun = Instant::now();

@@ -219,24 +219,60 @@ fn is_whole((direction, observation): &([f32; 3], Observation)) -> bool {
     direction[2] > 0.0 && observation.state == Seen::Seen { clipped: 0 }
 }
 
-/// Hemispherical harmonics, penalised as cross-validation says and nowhere negative. Clipped observations are left out; all others weigh the same,
-/// since what few harmonics cannot say is more than noise.
+/// Rounds in which clipped values follow the fit; most fits rest after two.
+const ROUNDS: usize = 6;
+
+/// Hemispherical harmonics, penalised as cross-validation says and nowhere negative. All observations weigh the same, since what few harmonics
+/// cannot say is more than noise.
 fn harmonics(observed: &[&Observed<'_>], count: u32) -> Result<Vec<Option<FittedRung>>, FitError> {
     let solver = OwnDirectionsFit::new(Basis::Hemispherical, count as usize)?;
     Ok(observed.par_iter().map(|(_, seen)| harmonics_of(seen, &solver)).collect())
 }
 
+/// A clipped value is a lower bound: where the fit is above it, it becomes what the fit says, which then holds the fit no more (Dempster, Laird and
+/// Rubin 1977, "Maximum likelihood from incomplete data", section 4.2: censored values). It begins as what the others of its channel say alone:
+/// from the bound the way to there is long.
 fn harmonics_of(seen: &[([f32; 3], Observation)], solver: &OwnDirectionsFit) -> Option<FittedRung> {
-    let whole: Vec<&([f32; 3], Observation)> = seen.iter().filter(|entry| is_whole(entry)).collect();
-    let axis = |k: usize| whole.iter().map(|(direction, _)| direction[k]).collect::<Vec<f32>>();
-    let channel = |c: usize| whole.iter().map(|(_, o)| o.radiance[c]).collect::<Vec<f32>>();
-    let (directions, values, weights) = ([0, 1, 2].map(axis), [0, 1, 2].map(channel), vec![1.0; whole.len()]);
-    let samples =
-        Samples { directions: directions.each_ref().map(Vec::as_slice), values: values.each_ref().map(Vec::as_slice), weights: &weights };
-    let fit = solver.fit(samples, Penalty::CrossValidated, Sign::NotNegative).ok()?;
-    let model = Model::Harmonics { basis: Basis::Hemispherical, coefficients: fit.coefficients };
-    let is_clipped = seen.iter().any(|(_, o)| matches!(o.state, Seen::Seen { clipped } if clipped != 0));
-    packed(seen, &model, if is_clipped { Flags::CLIPPED } else { Flags::NONE })
+    let above: Vec<([f32; 3], Observation)> = seen.iter().filter(|(d, o)| d[2] > 0.0 && o.state != Seen::Missing).copied().collect();
+    let bounds = [0, 1, 2].map(|c| {
+        let is_bound = |(_, o): &([f32; 3], Observation)| matches!(o.state, Seen::Seen { clipped } if clipped >> c & 1 != 0);
+        above.iter().map(is_bound).collect::<Vec<bool>>()
+    });
+    let directions = [0, 1, 2].map(|k| above.iter().map(|(direction, _)| direction[k]).collect::<Vec<f32>>());
+    let mut values = [0, 1, 2].map(|c| above.iter().map(|(_, o)| o.radiance[c]).collect::<Vec<f32>>());
+    let fitted = |values: [&[f32]; 3], weights: &[f32]| {
+        let samples = Samples { directions: directions.each_ref().map(Vec::as_slice), values, weights };
+        let fit = solver.fit(samples, Penalty::CrossValidated, Sign::NotNegative).ok()?;
+        Some(Model::Harmonics { basis: Basis::Hemispherical, coefficients: fit.coefficients })
+    };
+    for (values, bounds) in values.iter_mut().zip(&bounds).filter(|(_, bounds)| bounds.contains(&true)) {
+        let weights: Vec<f32> = bounds.iter().map(|is_bound| if *is_bound { 0.0 } else { 1.0 }).collect();
+        // Where nothing but bounds is known of a channel, they are its values.
+        if let Some(alone) = fitted([&values[..]; 3], &weights) {
+            let of_bounds = values.iter_mut().zip(&above).zip(bounds).filter(|(_, is_bound)| **is_bound);
+            of_bounds.for_each(|((value, (direction, _)), _)| *value = value.max(alone.eval(*direction)[0]));
+        }
+    }
+    let is_clipped = bounds.iter().any(|bounds| bounds.contains(&true));
+    let weights = vec![1.0; above.len()];
+    let mut model = None;
+    for _ in 0..if is_clipped { ROUNDS } else { 1 } {
+        let fit = model.insert(fitted(values.each_ref().map(Vec::as_slice), &weights)?);
+        let mut is_at_rest = true;
+        for (at, (direction, observation)) in above.iter().enumerate() {
+            let said = fit.eval(*direction);
+            for c in (0..3).filter(|c| bounds[*c][at]) {
+                let value = said[c].max(observation.radiance[c]);
+                // A hundredth of the bound is not seen.
+                is_at_rest &= (value - values[c][at]).abs() <= 0.01 * observation.radiance[c];
+                values[c][at] = value;
+            }
+        }
+        if is_at_rest {
+            break;
+        }
+    }
+    packed(seen, &model?, if is_clipped { Flags::CLIPPED } else { Flags::NONE })
 }
 
 /// What `auto` tries last, where lobes leave more than noise: numbers of hemispherical harmonics.

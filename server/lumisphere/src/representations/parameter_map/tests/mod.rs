@@ -1,5 +1,6 @@
 //! What must hold of frames of this kind on the CPU; `gpu_equals_cpu.rs` carries it over to the GPU.
 
+mod clipped;
 mod construct;
 pub(crate) mod fixture;
 #[cfg(feature = "gpu")]
