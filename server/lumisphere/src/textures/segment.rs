@@ -123,10 +123,11 @@ fn header_checksum(fixed: &[u8], table: &[u8]) -> u64 {
     hasher.digest()
 }
 
-/// A whole record, and its header's checksum.
-fn record_bytes(page: PageId, encoded: &EncodedPage) -> (Vec<u8>, u64) {
+/// Makes `record` a whole one; its header's checksum.
+fn fill_record(page: PageId, encoded: &EncodedPage, record: &mut Vec<u8>) -> u64 {
     let shape = encoded.shape;
-    let mut record = Vec::with_capacity(FIXED_BYTES + encoded.blocks.len() * ENTRY_BYTES + encoded.payload.len() + 8);
+    record.clear();
+    record.reserve(encoded.stored_bytes() as usize);
     record.extend_from_slice(&MAGIC);
     record.extend_from_slice(&(Layout::of(encoded.codec) as u16).to_le_bytes());
     record.extend_from_slice(&[encoded.codec as u8, shape.pixel as u8]);
@@ -143,7 +144,7 @@ fn record_bytes(page: PageId, encoded: &EncodedPage) -> (Vec<u8>, u64) {
     record[32..40].copy_from_slice(&checksum.to_le_bytes());
     record.extend_from_slice(&encoded.payload);
     record.resize(record.len().next_multiple_of(ALIGNMENT as usize), 0);
-    (record, checksum)
+    checksum
 }
 
 impl EncodedPage {
@@ -163,6 +164,8 @@ pub(super) struct SegmentWriter {
     length: u64,
     hasher: blake3::Hasher,
     torn: bool,
+    /// The record being written: kept, since new memory for each would take longer than filling it.
+    record: Vec<u8>,
 }
 
 /// A record found by reading a segment.
@@ -179,7 +182,8 @@ impl SegmentWriter {
     pub fn recover(disk: Arc<dyn Disk>, path: &Path, segment: u32) -> Result<(Self, Vec<Found>), StoreError> {
         let file = disk.open_writable(path).at("open", path)?;
         let file_bytes = file.metadata().at("inspect", path)?.len();
-        let mut writer = Self { disk, path: path.into(), file, length: 0, hasher: blake3::Hasher::new(), torn: false };
+        let hasher = blake3::Hasher::new();
+        let mut writer = Self { disk, path: path.into(), file, length: 0, hasher, torn: false, record: Vec::new() };
         let mut found = Vec::new();
         while let Some(record) = writer.next_whole_record(file_bytes)? {
             let header = Header::parse(&record).expect("checked when the record was read");
@@ -223,16 +227,16 @@ impl SegmentWriter {
     /// Appends one record; after an error the segment is as before the call, and the call can be repeated.
     pub fn append(&mut self, page: PageId, encoded: &EncodedPage, segment: u32) -> Result<Location, StoreError> {
         self.cut_torn_tail()?;
-        let (record, checksum) = record_bytes(page, encoded);
-        if let Err(error) = self.disk.write_at(&self.file, &record, self.length).at("write", &self.path) {
+        let checksum = fill_record(page, encoded, &mut self.record);
+        if let Err(error) = self.disk.write_at(&self.file, &self.record, self.length).at("write", &self.path) {
             self.torn = true;
             // Gives the space back at once where possible; otherwise the next append tries again.
             let _ = self.cut_torn_tail();
             return Err(error);
         }
-        self.hasher.update(&record);
-        let location = Location { segment, offset: self.length, length: record.len() as u32, checksum };
-        self.length += record.len() as u64;
+        self.hasher.update(&self.record);
+        let location = Location { segment, offset: self.length, length: self.record.len() as u32, checksum };
+        self.length += self.record.len() as u64;
         Ok(location)
     }
 
