@@ -1,26 +1,43 @@
-//! How long the way to the viewer takes a frame, from acknowledgements alone. `session` reports what is sent and acknowledged; nothing here
-//! looks at a clock.
+//! The way to the viewer, from acknowledgements alone: how long it takes a frame, and how many frames fill it. `session` reports what is sent
+//! and acknowledged; nothing here looks at a clock.
 //!
 //! The link is a queue: a frame is on it from when it was sent, or the one before had arrived, until it arrives. Acknowledgements come a
 //! round trip late, all alike, so that frame i took  ack_i − max(ack_{i−1}, sent_i + base), where base is the least time from sending to
 //! acknowledgement that was seen lately (BBR's minimum filter; Cardwell et al. 2016). A base has its own frame in it, so that a link with
 //! room to spare takes no time at all, and one that is full takes a frame's as soon as another frame waits before it.
+//!
+//! More frames on their way than fill it make each wait for those before it, and its pose grow old. So of a viewer's credits as many are used
+//! as let a frame wait for [`WAIT`] of the time between two (Vegas' rule, Brakmo and Peterson 1995, with a window of parts of frames): the
+//! part of a frame is a time after an acknowledgement, in which nothing is begun. What is begun later shows a later pose.
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
 /// Frames after which the least time is looked for anew: routes change.
 const WINDOW: u32 = 256;
+/// What a frame should wait for others, in the time between two frames: enough that the link never runs dry.
+const WAIT: f32 = 0.5;
+/// By how many frames the window changes for a frame that waited a whole frame's time too long: less than one over the frames on their way,
+/// which is how late it is heard of.
+const GAIN: f32 = 1.0 / 16.0;
 
 /// The way to one viewer.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub struct Link {
+    /// Frames that the viewer lets be on their way.
+    credits: u32,
+    /// Of those, what fills the link: 1 to `credits`.
+    window: f32,
+    /// Between two frames of a full link, seconds.
+    spacing: f32,
     /// Not acknowledged yet, oldest first; no more than there are credits.
     on_their_way: VecDeque<Sent>,
     last_acknowledged: Option<Instant>,
     /// Of this window and of the one before it.
     least: [Option<Duration>; 2],
     in_window: u32,
+    /// Until a frame finds the link empty, and the least time is that of one that waits for none.
+    is_draining: bool,
 }
 
 #[derive(Debug)]
@@ -28,26 +45,75 @@ struct Sent {
     frame_id: u64,
     share: f32,
     at: Instant,
+    /// Whether another was on its way before it.
+    is_behind: bool,
 }
 
 impl Link {
+    /// Nothing known of it; at least one credit.
+    pub fn new(credits: u32) -> Self {
+        Self {
+            credits,
+            window: credits as f32,
+            spacing: 0.0,
+            on_their_way: VecDeque::new(),
+            last_acknowledged: None,
+            least: [None; 2],
+            in_window: 0,
+            is_draining: false,
+        }
+    }
+
+    /// Another way with the same credits, nothing on it.
+    pub fn forget(&mut self) {
+        *self = Self::new(self.credits);
+    }
+
+    /// How many frames may be on their way, at least 1.
+    pub fn places(&self) -> u64 {
+        if self.is_draining { 1 } else { self.window.ceil() as u64 }
+    }
+
+    /// For how long after the last acknowledgement the last of those places stays free.
+    pub fn until_begun(&self) -> Option<Instant> {
+        let part = self.window.ceil() - self.window;
+        self.last_acknowledged.map(|at| at + Duration::from_secs_f32(part * self.spacing))
+    }
+
     /// A frame with this share of the full size's pixels goes.
     pub fn sent(&mut self, frame_id: u64, share: f32, at: Instant) {
-        self.on_their_way.push_back(Sent { frame_id, share, at });
+        let is_behind = !self.on_their_way.is_empty();
+        self.is_draining &= is_behind;
+        self.on_their_way.push_back(Sent { frame_id, share, at, is_behind });
     }
 
     /// This frame and all before it have arrived: the sum of their shares, and the seconds that the link was theirs. None if nothing new.
     pub fn acknowledged(&mut self, frame_id: u64, at: Instant) -> Option<(f32, f32)> {
-        let (mut share, mut first, mut latency) = (0.0, None, Duration::ZERO);
+        let (mut share, mut first, mut last) = (0.0, None, None);
+        let mut frames = 0.0;
         while let Some(sent) = self.on_their_way.pop_front_if(|sent| sent.frame_id <= frame_id) {
             share += sent.share;
+            frames += 1.0;
             first.get_or_insert(sent.at);
-            latency = at.saturating_duration_since(sent.at);
+            last = Some(sent);
         }
-        let first = first?;
-        let begun = (first + self.note(latency)).max(self.last_acknowledged.unwrap_or(first));
-        self.last_acknowledged = Some(at);
-        Some((share, at.saturating_duration_since(begun).as_secs_f32()))
+        let (first, last) = (first?, last?);
+        let latency = at.saturating_duration_since(last.at);
+        let base = self.note(latency);
+        let before = self.last_acknowledged.replace(at).unwrap_or(first);
+        let spacing = at.saturating_duration_since(before).as_secs_f32();
+        self.fill(last.is_behind.then(|| latency.saturating_sub(base).as_secs_f32()), spacing / frames);
+        // A link that is kept full on purpose hides half of a frame's time from the other rule.
+        let is_full = self.window < self.credits as f32 && last.is_behind;
+        let begun = (first + base).max(before);
+        Some((share, if is_full { spacing } else { at.saturating_duration_since(begun).as_secs_f32() }))
+    }
+
+    /// `wait`: of a frame behind others, seconds.
+    fn fill(&mut self, wait: Option<f32>, spacing: f32) {
+        let waited = wait.filter(|_| spacing > 0.0).map_or(0.0, |wait| (wait / spacing).min(self.credits as f32));
+        self.window = (self.window + GAIN * (WAIT - waited)).clamp(1.0, self.credits as f32);
+        self.spacing = if wait.is_some() { spacing } else { 0.0 };
     }
 
     /// The least time there and back of late, this one included.
@@ -55,6 +121,7 @@ impl Link {
         if self.in_window == WINDOW {
             self.least = [None, self.least[0]];
             self.in_window = 0;
+            self.is_draining = self.window < self.credits as f32;
         }
         self.in_window += 1;
         let least = self.least[0].map_or(latency, |least| least.min(latency));
@@ -71,42 +138,100 @@ mod tests {
         Duration::from_millis(n)
     }
 
-    /// A link of `rtt` and so many seconds for a full frame, saturated with `credits` frames of one share; what it is taken for.
-    fn measured(rtt: Duration, full: Duration, share: f32, credits: usize, frames: u64) -> Vec<f32> {
-        let start = Instant::now();
-        let (mut link, mut free, mut acks, mut seen) = (Link::default(), start, VecDeque::new(), Vec::new());
-        for frame_id in 1..=frames {
-            // Without a credit one waits for the oldest acknowledgement.
-            let mut now = start;
-            if acks.len() == credits {
-                let (acknowledged, at) = acks.pop_front().unwrap();
-                let (got, seconds) = link.acknowledged(acknowledged, at).unwrap();
-                assert_eq!(got, share);
-                seen.push(seconds);
-                now = at;
+    /// A link of `rtt`, which sends a full frame in `full`.
+    struct Way {
+        rtt: Duration,
+        full: Duration,
+    }
+
+    /// What came of frames sent whenever there was a place.
+    struct Seen {
+        /// What the link took for each, seconds.
+        took: Vec<f32>,
+        /// What each waited for others, in its own time on the link.
+        waits: Vec<f32>,
+        /// From the first frame's beginning to the last one's arrival, and of that the link's.
+        used: f32,
+    }
+
+    impl Way {
+        fn carry(&self, link: &mut Link, share: f32, frames: u64) -> Seen {
+            let start = Instant::now();
+            let (mut now, mut free, mut acks) = (start, start, VecDeque::new());
+            let mut seen = Seen { took: Vec::new(), waits: Vec::new(), used: 0.0 };
+            let own = self.full.mul_f32(share);
+            let mut frame_id = 0;
+            while frame_id < frames {
+                let places = link.places();
+                let held = link.until_begun().filter(|_| acks.len() as u64 + 1 == places).unwrap_or(start);
+                let acknowledged = acks.front().map(|(_, at)| *at);
+                if (acks.len() as u64) < places && held <= now {
+                    frame_id += 1;
+                    link.sent(frame_id, share, now);
+                    seen.waits.push(free.saturating_duration_since(now).as_secs_f32() / own.as_secs_f32());
+                    free = free.max(now) + own;
+                    acks.push_back((frame_id, free + self.rtt));
+                } else if acknowledged.is_none_or(|at| held > now && held < at) {
+                    now = held;
+                } else {
+                    let (acknowledged, at) = acks.pop_front().unwrap();
+                    now = at;
+                    let (got, seconds) = link.acknowledged(acknowledged, at).unwrap();
+                    assert_eq!(got, share);
+                    seen.took.push(seconds);
+                }
             }
-            link.sent(frame_id, share, now);
-            free = free.max(now) + full.mul_f32(share);
-            acks.push_back((frame_id, free + rtt));
+            seen.used = own.as_secs_f32() * frames as f32 / (free - start).as_secs_f32();
+            seen
         }
-        seen
+    }
+
+    fn quantile(mut values: Vec<f32>, part: f32) -> f32 {
+        values.sort_by(f32::total_cmp);
+        values[(part * (values.len() - 1) as f32) as usize]
     }
 
     #[test]
-    fn a_full_link_takes_a_frames_time_and_one_with_room_to_spare_none() {
-        for (rtt, credits) in [(0, 1), (100, 2), (100, 4), (100, 16)] {
-            let last = *measured(millis(rtt), millis(160), 0.25, credits, 100).last().unwrap();
-            // Forty milliseconds a frame. From sending to acknowledgement: as many frames as there are credits, where they fill the round
-            // trip; of that the base hides a round trip and a frame.
-            let queue = 0.04 * (credits - 1) as f32 - 1e-3 * rtt as f32;
-            assert!((last - queue.clamp(0.0, 0.04)).abs() < 1e-3, "{rtt} ms, {credits} credits: {last}");
+    fn a_link_with_room_to_spare_takes_no_time_and_all_credits_are_used() {
+        // Forty milliseconds a frame, so that two and a half fill the round trip.
+        let way = Way { rtt: millis(100), full: millis(160) };
+        for credits in [1, 2, 3] {
+            let mut link = Link::new(credits);
+            let seen = way.carry(&mut link, 0.25, 400);
+            // The first few are sent at once, each behind the other.
+            assert!(seen.took[10..].iter().all(|seconds| *seconds < 1e-6), "{credits} credits");
+            assert_eq!(link.places(), u64::from(credits));
+            assert!((seen.used - (0.04 * credits as f32 / 0.14)).abs() < 0.01, "{credits} credits: {}", seen.used);
+        }
+    }
+
+    #[test]
+    fn a_full_link_is_kept_busy_takes_a_frames_time_and_lets_none_wait_long() {
+        for (rtt, share) in [(0, 0.25), (5, 0.25), (100, 0.25), (100, 1.0), (70, 0.4), (333, 0.1)] {
+            for credits in [4, 8, 16_u32] {
+                let way = Way { rtt: millis(rtt), full: millis(160) };
+                let own = 0.16 * share;
+                let fills = 1.0 + 1e-3 * rtt as f32 / own;
+                if (credits as f32) < fills + WAIT {
+                    continue;
+                }
+                let mut link = Link::new(credits);
+                let mut seen = way.carry(&mut link, share, 3000);
+                // A queue that was made on the way to that goes by and by.
+                let later = seen.waits.split_off(200);
+                let (wait, used) = (quantile(later, 0.95), seen.used);
+                assert!(wait < 0.8 && used > 0.97, "{rtt} ms, {credits} credits, share {share}: waits {wait}, {used} used");
+                let took = quantile(seen.took, 0.5);
+                assert!((took - own).abs() < 0.1 * own, "{rtt} ms, {credits} credits: {took} s for {own}");
+                assert!(quantile(seen.waits, 1.0) <= credits as f32 - 0.99, "{rtt} ms");
+            }
         }
     }
 
     #[test]
     fn a_small_frame_behind_a_large_one_is_not_blamed_for_it() {
         let start = Instant::now();
-        let mut link = Link::default();
+        let mut link = Link::new(16);
         link.sent(1, 0.1, start);
         assert_eq!(link.acknowledged(1, start + millis(20)), Some((0.1, 0.0)));
         link.sent(2, 1.0, start + millis(100));
@@ -119,7 +244,7 @@ mod tests {
     #[test]
     fn one_acknowledgement_for_several_frames_is_all_of_theirs_and_a_second_one_says_nothing() {
         let start = Instant::now();
-        let mut link = Link::default();
+        let mut link = Link::new(16);
         (1..=3).for_each(|id| link.sent(id, 0.5, start));
         let (share, _) = link.acknowledged(3, start + millis(30)).unwrap();
         assert_eq!(share, 1.5);
@@ -128,7 +253,7 @@ mod tests {
 
     #[test]
     fn a_longer_route_is_learnt_within_two_windows() {
-        let (start, mut link, mut last) = (Instant::now(), Link::default(), 0.0);
+        let (start, mut link, mut last) = (Instant::now(), Link::new(16), 0.0);
         for frame_id in 1..=u64::from(3 * WINDOW) {
             let at = start + millis(1000 * frame_id);
             let rtt = if frame_id <= u64::from(WINDOW) / 2 { millis(10) } else { millis(90) };

@@ -49,10 +49,12 @@ const SETTLING: Duration = Duration::from_millis(50);
 pub struct Session {
     stage: Arc<Stage>,
     version: Arc<OpenedVersion>,
-    credits: u64,
+    credits: u32,
     wish: watch::Sender<Wish>,
     /// Frames that were sent, of all streams.
     sent: AtomicU64,
+    /// How the frames come to the viewer.
+    link: Mutex<Link>,
     /// None for a viewer that is always shown the full size.
     moving: Option<Arc<Moving>>,
     _room: OwnedSemaphorePermit,
@@ -63,12 +65,7 @@ struct Moving {
     /// Between two frames, as asked for.
     interval: Duration,
     settling: Duration,
-    measured: Mutex<Measured>,
-}
-
-struct Measured {
-    pace: Pace,
-    link: Link,
+    pace: Mutex<Pace>,
 }
 
 /// What the viewer has not seen yet of the wish that was shown last.
@@ -155,14 +152,14 @@ impl Session {
         let sequences = Sequences::default();
         let wish = Wish { pose: None, settings, output, sequences, revision: 0, changed: Instant::now(), poses: 0, acknowledged: 0 };
         let wish = watch::Sender::new(wish);
-        Ok(Self { stage, version, credits: credits.into(), wish, sent: AtomicU64::new(0), moving, _room: room })
+        let link = Mutex::new(Link::new(credits));
+        Ok(Self { stage, version, credits, wish, sent: AtomicU64::new(0), link, moving, _room: room })
     }
 
     /// What was opened. `expiry`: without a stream; zero for a session that ends with its stream.
     pub fn opened(&self, expiry: Duration) -> proto::InteractionOpened {
         let expires_after_seconds = u32::try_from(expiry.as_secs()).unwrap_or(u32::MAX);
-        let credits = u32::try_from(self.credits).unwrap_or(MAX_CREDITS);
-        proto::InteractionOpened { dataset_version: self.version.version, credits, expires_after_seconds }
+        proto::InteractionOpened { dataset_version: self.version.version, credits: self.credits, expires_after_seconds }
     }
 
     /// Of the server.
@@ -175,8 +172,10 @@ impl Session {
         let change = self.check(update)?;
         let overtaken = change.pose.is_some_and(|_| change.sequence < self.wish.borrow().sequences.pose);
         self.stage.metrics.poses_overtaken.inc_by(overtaken.into());
-        if let Some(moving) = &self.moving {
-            moving.measured().acknowledged(change.acknowledged);
+        if let Some((share, seconds)) = self.link().acknowledged(change.acknowledged, Instant::now().into_std())
+            && let Some(moving) = &self.moving
+        {
+            moving.pace().arrived(share, seconds);
         }
         self.wish.send_modify(|wish| wish.apply(change));
         Ok(())
@@ -207,8 +206,32 @@ impl Session {
     pub fn forget_frames_on_their_way(&self) {
         let sent = self.sent.load(Ordering::SeqCst);
         self.wish.send_modify(|wish| wish.acknowledged = sent);
+        self.link().forget();
         if let Some(moving) = &self.moving {
-            moving.measured().forget_link();
+            moving.pace().forget_link();
+        }
+    }
+
+    fn link(&self) -> MutexGuard<'_, Link> {
+        self.link.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Until this wish, or one after it, has a place among the frames on their way. False once the client has left.
+    async fn until_placed(&self, sent: u64, is_due: impl Fn(&Wish) -> bool) -> bool {
+        let mut wishes = self.wish.subscribe();
+        loop {
+            let has_place = |wish: &Wish| is_due(wish) && sent - wish.acknowledged < self.link().places();
+            let on_their_way = match wishes.wait_for(has_place).await {
+                Ok(wish) => sent - wish.acknowledged,
+                Err(_) => return false,
+            };
+            let link = (self.link().places(), self.link().until_begun());
+            match link {
+                (places, Some(until)) if on_their_way + 1 == places && until > Instant::now().into_std() => {
+                    tokio::time::sleep_until(until.into()).await;
+                }
+                _ => return true,
+            }
         }
     }
 
@@ -224,7 +247,7 @@ impl Session {
         let mut still: Option<Still> = None;
         loop {
             let sent = self.sent.load(Ordering::SeqCst);
-            let is_new = |wish: &Wish| wish.pose.is_some() && wish.revision > shown && sent - wish.acknowledged < self.credits;
+            let is_new = |wish: &Wish| wish.pose.is_some() && wish.revision > shown;
             tokio::select! {
                 biased;
                 // Memory is not kept for what no one wants, credit or not.
@@ -232,7 +255,7 @@ impl Session {
                     (still, owed) = self.abandon();
                     continue;
                 }
-                wish = wishes.wait_for(is_new) => if wish.is_err() { return ShowEnded::Left },
+                is_there = self.until_placed(sent, is_new) => if !is_there { return ShowEnded::Left },
                 () = self.until_due(owed, sent, last) => {}
                 () = last.cancelled() => return ShowEnded::Left,
                 () = self.until_mute(sent, sent_at) => return ShowEnded::Mute,
@@ -342,9 +365,7 @@ impl Session {
     /// Puts a frame, of this share of the full size's pixels, into its place in the outbox; when.
     fn send(&self, slot: OutboxPlace<'_>, frame: proto::Frame, share: f32) -> Instant {
         let now = Instant::now();
-        if let Some(moving) = &self.moving {
-            moving.measured().link.sent(frame.frame_id, share, now.into_std());
-        }
+        self.link().sent(frame.frame_id, share, now.into_std());
         // Before it can be acknowledged.
         self.sent.store(frame.frame_id, Ordering::SeqCst);
         slot.send(Ok(response(Down::Frame(frame))));
@@ -372,7 +393,7 @@ impl Session {
                 () = last.cancelled() => {}
             },
         }
-        let _ = self.wish.subscribe().wait_for(|wish| sent - wish.acknowledged < self.credits).await;
+        self.until_placed(sent, |_| true).await;
     }
 
     /// Until a frame has waited too long for its acknowledgement; for ever once all have theirs.
@@ -393,7 +414,7 @@ impl Session {
         // Who rests stands back, which says nothing of the wait of one who moves.
         let waiting = (who == Priority::Viewer).then(|| seconds(t.queue_micros));
         let took = Took { waiting, own: seconds(t.pages_micros + t.render_micros + t.encode_micros) };
-        moving.measured().pace.drawn(share, took);
+        moving.pace().drawn(share, took);
     }
 
     /// Brings what the expected frame would miss, once, and never returns.
@@ -460,7 +481,7 @@ impl Turn {
     /// As large as the pace says of a viewer who moves. None before the first pose.
     fn of(wish: Wish, moving: Option<&Moving>) -> Option<Self> {
         let (pose_id, full) = wish.pose?;
-        let drawn = moving.map_or(full, |m| m.measured().smaller(&full));
+        let drawn = moving.map_or(full, |m| smaller(&full, m.pace().rung()));
         Some(Self { wish, pose_id, full, drawn })
     }
 }
@@ -473,31 +494,12 @@ impl Moving {
         }
         let rate = wire::within(frames_per_second, MOVING_RATES.0, MOVING_RATES.1, field)?;
         let settling = (SETTLING_FRAMES / rate).clamp(SETTLING_SECONDS.0, SETTLING_SECONDS.1);
-        let measured = Measured { pace: Pace::new(rate), link: Link::default() };
+        let pace = Mutex::new(Pace::new(rate));
         let [interval, settling] = [1.0 / rate, settling].map(Duration::from_secs_f32);
-        Ok(Some(Arc::new(Self { interval, settling, measured: Mutex::new(measured) })))
+        Ok(Some(Arc::new(Self { interval, settling, pace })))
     }
 
-    fn measured(&self) -> MutexGuard<'_, Measured> {
-        self.measured.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
-impl Measured {
-    /// The camera of the next frame while the viewer moves.
-    fn smaller(&self, camera: &Camera) -> Camera {
-        smaller(camera, self.pace.rung())
-    }
-
-    fn acknowledged(&mut self, frame_id: u64) {
-        if let Some((share, seconds)) = self.link.acknowledged(frame_id, Instant::now().into_std()) {
-            self.pace.arrived(share, seconds);
-        }
-    }
-
-    /// A new stream may take another way.
-    fn forget_link(&mut self) {
-        self.link = Link::default();
-        self.pace.forget_link();
+    fn pace(&self) -> MutexGuard<'_, Pace> {
+        self.pace.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
