@@ -268,6 +268,7 @@ impl OutputFlags {
             exposure_gamma: self.gamma,
             want_depth: self.depth,
             want_provenance: self.provenance,
+            ..Default::default()
         }
     }
 }

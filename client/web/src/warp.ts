@@ -22,7 +22,7 @@ const VERTEX_SHADER = `#version 300 es
 precision highp float;
 uniform highp sampler2D depth;
 uniform ivec2 cells;
-uniform vec2 source_focal, source_center, target_scale;
+uniform vec2 source_size, source_focal, source_center, target_scale;
 uniform mat3 world_from_source, target_from_world;
 uniform vec3 source_position, target_position;
 uniform float background, nearest;
@@ -31,13 +31,13 @@ const ivec2 CORNERS[6] = ivec2[6](ivec2(0, 0), ivec2(1, 0), ivec2(0, 1), ivec2(0
 void main() {
   int cell = gl_VertexID / 6;
   ivec2 corner = ivec2(cell % cells.x, cell / cells.x) + CORNERS[gl_VertexID % 6];
-  vec2 size = vec2(textureSize(depth, 0));
+  vec2 depths = vec2(textureSize(depth, 0));
   place = vec2(corner - 1) / vec2(cells - 2);
   vec2 clamped_place = clamp(place, 0.0, 1.0);
   vec2 rim = sign(place - clamped_place);
   place = clamped_place;
-  vec2 pixel = (place + 0.5 * rim) * size;
-  float distance = min(texelFetch(depth, ivec2(min(place * size, size - 1.0)), 0).r, background);
+  vec2 pixel = (place + 0.5 * rim) * source_size;
+  float distance = min(texelFetch(depth, ivec2(min(place * depths, depths - 1.0)), 0).r, background);
   vec3 ray = normalize(vec3((pixel.x - source_center.x) / source_focal.x, -(pixel.y - source_center.y) / source_focal.y, -1.0));
   vec3 world = source_position + distance * (world_from_source * ray);
   vec3 seen = target_from_world * (world - target_position);
@@ -58,6 +58,7 @@ const UNIFORMS = [
   'depth',
   'color',
   'cells',
+  'source_size',
   'source_focal',
   'source_center',
   'target_scale',
@@ -69,9 +70,12 @@ const UNIFORMS = [
   'nearest',
 ] as const;
 
+type DepthPlane = Pick<Frame, 'depth' | 'depthWidthPx' | 'depthHeightPx' | 'nearestDepth'>;
+
 /** A frame that can be warped, by its camera. */
 interface Source {
   readonly cells: readonly [number, number];
+  readonly size: readonly [number, number];
   readonly focal: readonly [number, number];
   readonly center: readonly [number, number];
   readonly position: Vector3;
@@ -110,17 +114,15 @@ export class Warp {
   /** The newest frame and its picture; without depth there is nothing to warp. */
   take(frame: Frame, picture: ImageBitmap): void {
     this.source = undefined;
-    const { widthPx: width, heightPx: height, depth } = frame;
+    const { depthWidthPx: width, depthHeightPx: height } = frame;
     const source = sourceOf(frame);
-    if (depth.length === 0 || source === undefined || this.gl.isContextLost()) return;
-    const raw = decompress(depth, new Uint8Array(4 * width * height));
-    if (raw.byteLength !== 4 * width * height) throw new RangeError(`depth of ${raw.byteLength} bytes, ${4 * width * height} expected`);
+    if (frame.depth.length === 0 || source === undefined || this.gl.isContextLost()) return;
+    const depths = distances(frame);
     const { gl } = this;
     gl.activeTexture(gl.TEXTURE0);
     gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA8, gl.RGBA, gl.UNSIGNED_BYTE, picture);
     gl.activeTexture(gl.TEXTURE1);
-    const distances = new Float32Array(raw.buffer, raw.byteOffset, width * height);
-    gl.texImage2D(gl.TEXTURE_2D, 0, gl.R32F, width, height, 0, gl.RED, gl.FLOAT, distances);
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.R32F, width, height, 0, gl.RED, gl.FLOAT, depths);
     this.source = source;
   }
 
@@ -135,6 +137,7 @@ export class Warp {
     gl.viewport(0, 0, size.width, size.height);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     gl.uniform2iv(uniforms.cells, source.cells);
+    gl.uniform2fv(uniforms.source_size, source.size);
     gl.uniform2fv(uniforms.source_focal, source.focal);
     gl.uniform2fv(uniforms.source_center, source.center);
     gl.uniform2f(uniforms.target_scale, (2 * focal) / size.width, (2 * focal) / size.height);
@@ -160,6 +163,18 @@ export class Warp {
   }
 }
 
+/** Of 16 bits of inverse distance each; infinite where nothing was hit. */
+export function distances({ depth, depthWidthPx, depthHeightPx, nearestDepth }: DepthPlane): Float32Array {
+  const bytes = 2 * depthWidthPx * depthHeightPx;
+  const raw = decompress(depth);
+  if (raw.byteLength !== bytes) throw new RangeError(`depth of ${raw.byteLength} bytes, ${bytes} expected`);
+  const codes = new DataView(raw.buffer, raw.byteOffset, bytes);
+  return Float32Array.from({ length: bytes / 2 }, (_, at) => {
+    const code = codes.getUint16(2 * at, true);
+    return code === 0 ? Infinity : (nearestDepth * 65535) / code;
+  });
+}
+
 function sourceOf({ camera, widthPx, heightPx }: Frame): Source | undefined {
   const { pose: axes, intrinsics } = camera ?? {};
   if (!axes?.position || !axes.right || !axes.up || !axes.backward || !intrinsics) return undefined;
@@ -168,6 +183,7 @@ function sourceOf({ camera, widthPx, heightPx }: Frame): Source | undefined {
   return {
     // And the rim.
     cells: [Math.ceil(widthPx / cell) + 2, Math.ceil(heightPx / cell) + 2],
+    size: [widthPx, heightPx],
     focal: [intrinsics.focalXPx, intrinsics.focalYPx || intrinsics.focalXPx],
     center: [intrinsics.centerXPx ?? widthPx / 2, intrinsics.centerYPx ?? heightPx / 2],
     position: vector(axes.position),

@@ -7,6 +7,7 @@ import { focalLength, pose, type Bounds, type Size, type Viewpoint } from './cam
 import { Datasets, type Dataset as WireDataset, type Vector3 as WireVector3 } from './generated/lumisphere/v1alpha1/datasets_pb';
 import {
   CameraSchema,
+  DepthFormat,
   Encoding,
   OffsetSurfaceLightFieldSettings_Blend as Blend,
   OffsetSurfaceLightFieldSettings_Component as Component,
@@ -247,12 +248,17 @@ function renderSettings(kind: Kind, settings: Settings): RenderSettings {
   return create(RenderSettingsSchema, { representation: { case: 'offsetSurfaceLightField', value } });
 }
 
+/** Of so many columns and rows the warp needs one depth: its sheet is no finer in a large frame. */
+const DEPTH_STEP = 4;
+
 function liveOutput(settings: Settings, delivery: Delivery): OutputSettings {
   return create(OutputSettingsSchema, {
     ...exposure(settings),
     encoding: delivery.encoding === 'png' ? Encoding.PNG : Encoding.JPEG,
     jpegQuality: delivery.quality,
     wantDepth: delivery.warp === 'depth',
+    depthFormat: DepthFormat.INVERSE_16,
+    depthStep: DEPTH_STEP,
     wantProvenance: settings.overlay !== 'none',
   });
 }

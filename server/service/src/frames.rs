@@ -250,7 +250,7 @@ impl Frames {
 
 /// Renders one pass of what is ordered; on the render thread.
 fn draw(renderer: &Renderer, gpu: &Mutex<Option<GpuTier>>, order: &FrameOrder, pass: u32) -> Result<Drawn, RenderError> {
-    let outputs = Outputs { depth: order.output.depth, provenance: order.output.provenance };
+    let outputs = Outputs { depth: order.output.depth.is_some(), provenance: order.output.provenance };
     let settings = order.settings.settings;
     let settings = settings.of_pass(pass).unwrap_or(settings);
     let request = FrameRequest { camera: &order.camera, settings: &settings, outputs, refine: order.refine };
@@ -300,10 +300,12 @@ fn encode(still: &mut Still, metrics: &Metrics) -> Result<EncodedFrame, ApiError
     let begun = Instant::now();
     let (pixels, output) = (still.pixels(), still.order.output);
     let color = encode_color(still, output.encoding)?;
-    let depth = pixels.depth.as_deref().map_or(Ok(Bytes::new()), |d| compressed(d.iter().map(|v| v.to_le_bytes())))?;
+    let width = still.order.camera.intrinsics().width_px;
+    let depth = output.depth.zip(pixels.depth.as_deref()).map(|(plane, distances)| plane.encode(distances, width));
+    let depth = depth.transpose()?.unwrap_or_default();
     let provenance = pixels.provenance.as_deref();
     let provenance = provenance.map_or(Ok(Bytes::new()), |p| compressed(p.iter().map(|v| v.bits().to_le_bytes())))?;
-    let bytes = color.len() + depth.len() + provenance.len();
+    let bytes = color.len() + depth.bytes.len() + provenance.len();
     if bytes > MAX_FRAME_MESSAGE_BYTES - MESSAGE_OVERHEAD_BYTES {
         let message = format!(
             "the encoded frame has {bytes} bytes, its message at most {MAX_FRAME_MESSAGE_BYTES}: ask for fewer pixels or another encoding"
@@ -341,8 +343,8 @@ fn encode_color(still: &Still, encoding: Encoding) -> Result<Bytes, ApiError> {
 }
 
 /// One zstd frame of little-endian words.
-fn compressed(words: impl ExactSizeIterator<Item = [u8; 4]>) -> Result<Bytes, ApiError> {
-    let mut bytes = Vec::with_capacity(4 * words.len());
+pub fn compressed<const N: usize>(words: impl ExactSizeIterator<Item = [u8; N]>) -> Result<Bytes, ApiError> {
+    let mut bytes = Vec::with_capacity(N * words.len());
     words.for_each(|word| bytes.extend_from_slice(&word));
     let packed = zstd::bulk::compress(&bytes, ZSTD_LEVEL).map_err(|e| ApiError::internal(format!("cannot compress a frame: {e}")))?;
     Ok(packed.into())

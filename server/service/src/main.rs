@@ -5,6 +5,7 @@
 mod api;
 mod catalog;
 mod config;
+mod depth_plane;
 mod errors;
 mod frame_use;
 mod frames;

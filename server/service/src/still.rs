@@ -110,7 +110,7 @@ impl Rooms {
 
     fn room(&self, order: &FrameOrder, place: Option<OwnedSemaphorePermit>) -> Room {
         let intrinsics = order.camera.intrinsics();
-        let words = u64::from(order.output.depth) + u64::from(order.output.provenance);
+        let words = u64::from(order.output.depth.is_some()) + u64::from(order.output.provenance);
         let bytes = u64::from(intrinsics.width_px) * u64::from(intrinsics.height_px) * (COLOR_BYTES + words * WORD_BYTES);
         let bytes = i64::try_from(bytes).unwrap_or(i64::MAX);
         self.metrics.stills_held.inc();

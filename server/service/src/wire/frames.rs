@@ -8,6 +8,7 @@ use lumisphere::textures::CacheStats;
 use super::camera::camera_message;
 use super::proto;
 use super::settings::{Encoding, encoding_number};
+use crate::depth_plane::EncodedDepth;
 use crate::frame_use::AdapterUse;
 
 /// An encoded frame and its account.
@@ -20,7 +21,7 @@ pub struct EncodedFrame {
     /// The image.
     pub color: Bytes,
     /// Empty unless asked for.
-    pub depth: Bytes,
+    pub depth: EncodedDepth,
     /// Empty unless asked for.
     pub provenance: Bytes,
     /// Where the time went.
@@ -143,7 +144,10 @@ pub fn frame(frame: EncodedFrame, identity: FrameIdentity) -> proto::Frame {
         height_px: intrinsics.height_px,
         encoding: encoding_number(frame.encoding),
         color: frame.color,
-        depth: frame.depth,
+        depth: frame.depth.bytes,
+        depth_width_px: frame.depth.width_px,
+        depth_height_px: frame.depth.height_px,
+        nearest_depth: frame.depth.nearest,
         provenance: frame.provenance,
         timings: Some(frame.timings),
         cache: Some(frame.cache),

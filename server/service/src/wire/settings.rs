@@ -8,6 +8,7 @@ use lumisphere::representations::{Settings, parameter_map};
 use super::camera::vec3;
 use super::{count, proto, required, within};
 use crate::config::BackendChoice;
+use crate::depth_plane::{DepthFormat, DepthPlane, MAX_STEP};
 use crate::errors::{ApiError, Reason};
 
 /// Of `Gloss.brdf`: more than any model needs.
@@ -38,7 +39,7 @@ pub struct Output {
     /// Of the colour.
     pub encoding: Encoding,
     /// Return distances.
-    pub depth: bool,
+    pub depth: Option<DepthPlane>,
     /// Return where each pixel comes from.
     pub provenance: bool,
 }
@@ -214,7 +215,22 @@ pub fn output(message: Option<proto::OutputSettings>, field: &str) -> Result<Out
             return Err(ApiError::field(format!("{field}.encoding"), format!("{}, RAW_ZSTD, PNG, JPEG or EXR expected", message.encoding)));
         }
     };
-    Ok(Output { encoding, depth: message.want_depth, provenance: message.want_provenance })
+    let plane = depth_plane(&message, field)?;
+    Ok(Output { encoding, depth: message.want_depth.then_some(plane), provenance: message.want_provenance })
+}
+
+/// Wrong ones are refused even where no depth is wanted.
+fn depth_plane(message: &proto::OutputSettings, field: &str) -> Result<DepthPlane, ApiError> {
+    let format = match proto::DepthFormat::try_from(message.depth_format) {
+        Ok(proto::DepthFormat::Unspecified | proto::DepthFormat::Float32) => DepthFormat::Float32,
+        Ok(proto::DepthFormat::Inverse16) => DepthFormat::Inverse16,
+        Err(_) => {
+            let problem = format!("{}, FLOAT_32 or INVERSE_16 expected", message.depth_format);
+            return Err(ApiError::field(format!("{field}.depth_format"), problem));
+        }
+    };
+    let step = count(message.depth_step, 1, 1, MAX_STEP, &format!("{field}.depth_step"))?;
+    Ok(DepthPlane { format, step })
 }
 
 /// Clipped at white, or with γ never.
@@ -320,6 +336,15 @@ mod tests {
         assert!(with(3, 101, 0.0).unwrap_err().to_string().starts_with("o.jpeg_quality: 101"));
         assert!(with(3, 300, 0.0).unwrap_err().to_string().starts_with("o.jpeg_quality: 300"));
         assert!(with(2, 0, f32::NAN).unwrap_err().to_string().starts_with("o.exposure_stops: NaN"));
+        let depth = |want_depth, depth_format, depth_step| {
+            let message = proto::OutputSettings { encoding: 2, want_depth, depth_format, depth_step, ..Default::default() };
+            output(Some(message), "o").map(|o| o.depth)
+        };
+        assert_eq!(depth(false, 2, 4).unwrap(), None);
+        assert_eq!(depth(true, 0, 0).unwrap(), Some(DepthPlane { format: DepthFormat::Float32, step: 1 }));
+        assert_eq!(depth(true, 2, 16).unwrap(), Some(DepthPlane { format: DepthFormat::Inverse16, step: 16 }));
+        assert_eq!(depth(true, 9, 1).unwrap_err().to_string(), "o.depth_format: 9, FLOAT_32 or INVERSE_16 expected");
+        assert_eq!(depth(false, 1, 17).unwrap_err().to_string(), "o.depth_step: 17, 1 to 16 expected");
     }
 
     #[test]

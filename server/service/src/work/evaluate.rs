@@ -39,7 +39,7 @@ impl Work {
         };
         let mut blobs = Vec::new();
         let mut render = |camera: &Camera, setting: usize| {
-            let output = Output { encoding: Encoding::RawZstd, depth: false, provenance: false };
+            let output = Output { encoding: Encoding::RawZstd, depth: None, provenance: false };
             let (version, settings, refine) = (version.clone(), spec.settings[setting], Refine::Whole);
             let passes = settings.passes;
             let still =

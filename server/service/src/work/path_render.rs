@@ -29,7 +29,7 @@ impl Work {
             let frame = self.encoded(self.still(order, attempt)?)?;
             micros.push(frame.timings.render_micros);
             blobs.push(self.keep(format!("frame-{i:05}.{extension}"), media_type, &frame.color)?);
-            for (name, bytes) in [("depth", &frame.depth), ("provenance", &frame.provenance)] {
+            for (name, bytes) in [("depth", &frame.depth.bytes), ("provenance", &frame.provenance)] {
                 if !bytes.is_empty() {
                     blobs.push(self.keep(format!("frame-{i:05}.{name}.zst"), "application/zstd", bytes)?);
                 }
