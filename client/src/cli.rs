@@ -25,6 +25,9 @@ pub struct Global {
     /// Server's address [default: `server` of the configuration file, else http://127.0.0.1:7443]
     #[arg(long, global = true, value_name = "URL", env = "LUMISPHERE_SERVER")]
     pub server: Option<String>,
+    /// Whom to trust for an https:// server, PEM [default: `ca_certificate` of the configuration file, else whom the system trusts]
+    #[arg(long, global = true, value_name = "FILE", env = "LUMISPHERE_CA_CERTIFICATE")]
+    pub ca_certificate: Option<PathBuf>,
     /// Print JSON: one document, or one object a line where results come one by one; errors too
     #[arg(long, global = true)]
     pub json: bool,
@@ -34,7 +37,7 @@ pub struct Global {
     /// No progress and no talk
     #[arg(long, short, global = true)]
     pub quiet: bool,
-    /// Configuration file (TOML: server, timeout_seconds) [default: ~/.config/lumisphere/client.toml, if there]
+    /// Configuration file (TOML: server, ca_certificate, timeout_seconds) [default: ~/.config/lumisphere/client.toml, if there]
     #[arg(long, global = true, value_name = "FILE", env = "LUMISPHERE_CLIENT_CONFIG")]
     pub config: Option<PathBuf>,
 }

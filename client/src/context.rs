@@ -14,7 +14,7 @@ use lumisphere_proto::v1alpha1::rendering_client::RenderingClient;
 use lumisphere_proto::v1alpha1::system_client::SystemClient;
 use serde::Deserialize;
 use tonic::Request;
-use tonic::transport::{Channel, Endpoint};
+use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint};
 
 use crate::cli::Global;
 use crate::exit::Failure;
@@ -32,6 +32,7 @@ const KEEP_ALIVE: Duration = Duration::from_secs(20);
 /// Where, how long, and how to print.
 pub struct Context {
     server: String,
+    ca_certificate: Option<PathBuf>,
     timeout: Option<Duration>,
     /// Standard output and standard error.
     pub output: Output,
@@ -43,6 +44,7 @@ pub struct Context {
 #[serde(deny_unknown_fields)]
 struct ConfigFile {
     server: Option<String>,
+    ca_certificate: Option<PathBuf>,
     timeout_seconds: Option<f64>,
 }
 
@@ -59,7 +61,8 @@ impl Context {
         let seconds = global.timeout_seconds.or(file.timeout_seconds);
         let timeout = seconds.map(positive_seconds).transpose()?;
         let server = global.server.or(file.server).unwrap_or_else(|| DEFAULT_SERVER.into());
-        Ok(Self { server, timeout, output: Output::new(global.json, global.quiet), interrupt_note: RefCell::new(None) })
+        let ca_certificate = global.ca_certificate.or(file.ca_certificate);
+        Ok(Self { server, ca_certificate, timeout, output: Output::new(global.json, global.quiet), interrupt_note: RefCell::new(None) })
     }
 
     /// Connects, or says what could not be reached.
@@ -68,8 +71,10 @@ impl Context {
             |e: &dyn std::fmt::Display| Failure::Usage(format!("--server {:?} is no address like {DEFAULT_SERVER}: {e}", self.server));
         let endpoint = Endpoint::from_shared(self.server.clone()).map_err(|e| bad_address(&e))?;
         if endpoint.uri().scheme().is_none() {
-            return Err(bad_address(&"http:// is missing").into());
+            return Err(bad_address(&"http:// or https:// is missing").into());
         }
+        let is_secure = endpoint.uri().scheme_str() == Some("https");
+        let endpoint = if is_secure { endpoint.tls_config(self.trust()?).map_err(|e| self.untrusted(&e))? } else { endpoint };
         let endpoint = endpoint
             .connect_timeout(self.timeout.unwrap_or(CONNECT_TIMEOUT).min(CONNECT_TIMEOUT))
             .tcp_nodelay(true)
@@ -77,6 +82,18 @@ impl Context {
             .keep_alive_while_idle(true);
         let unreachable = |e: tonic::transport::Error| Failure::Unavailable(format!("cannot reach {}: {}", self.server, innermost(&e)));
         Ok(Server { channel: endpoint.connect().await.map_err(unreachable)? })
+    }
+
+    /// Whom to believe that they are the server.
+    fn trust(&self) -> anyhow::Result<ClientTlsConfig> {
+        let Some(path) = &self.ca_certificate else { return Ok(ClientTlsConfig::new().with_native_roots()) };
+        let pem = fs::read(path).with_context(|| format!("cannot read the certificate {}", path.display()))?;
+        Ok(ClientTlsConfig::new().ca_certificate(Certificate::from_pem(pem)))
+    }
+
+    fn untrusted(&self, error: &tonic::transport::Error) -> Failure {
+        let named = self.ca_certificate.as_ref().map(|path| format!("{}: ", path.display())).unwrap_or_default();
+        Failure::Usage(format!("{named}no certificate that could be trusted: {}", innermost(error)))
     }
 
     /// A request that is answered at once.

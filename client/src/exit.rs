@@ -138,6 +138,16 @@ fn violations(error: &anyhow::Error) -> Vec<(String, String)> {
     bad_request.map(|b| b.field_violations.into_iter().map(|v| (v.field, v.description)).collect()).unwrap_or_default()
 }
 
+/// Whether it may go away by itself: the server restarts, or the network comes back.
+pub fn is_broken_connection(error: &anyhow::Error) -> bool {
+    if let Some(status) = error.downcast_ref::<Status>() {
+        // A reset in mid-stream comes as UNKNOWN or INTERNAL from the transport, without our details.
+        let is_of_transport = matches!(status.code(), Code::Unknown | Code::Internal | Code::Cancelled) && reason(status).is_empty();
+        return status.code() == Code::Unavailable || is_of_transport;
+    }
+    matches!(error.downcast_ref::<Failure>(), Some(Failure::Unavailable(_)))
+}
+
 /// The code as the gRPC specification writes it.
 pub fn code_name(code: Code) -> &'static str {
     match code {

@@ -13,8 +13,13 @@ use crate::wire::{camera, code_and_reason, frame_request};
 
 /// A server that holds the tiny dataset.
 pub async fn with_dataset() -> (tempfile::TempDir, Server) {
+    with_dataset_and(&[]).await
+}
+
+/// The same with flags of the server's.
+pub async fn with_dataset_and(flags: &[&str]) -> (tempfile::TempDir, Server) {
     let folder = temporary_folder();
-    let server = Server::start(&folder.path().join("data"));
+    let server = Server::start_with(&folder.path().join("data"), flags);
     tiny::capture(&server, folder.path());
     (folder, server)
 }

@@ -27,6 +27,7 @@ mod pictures;
 mod prefetch;
 mod process;
 mod python;
+mod relay;
 mod rules;
 mod sessions;
 mod stills;

@@ -13,7 +13,7 @@ use crate::process::Server;
 use crate::system::metric;
 use crate::tiny::DATASET;
 use crate::viewers::{TRANSPORTS, Transport, Viewer, opening};
-use crate::wire::{camera_around, code_and_reason, fields, frame_request, settings};
+use crate::wire::{camera_around, code_and_reason, fields, frame_request, output, settings};
 
 const SIZE: (u32, u32) = (320, 240);
 /// Poses until a size must have been found: the first frame tells already that it is too slow.
@@ -94,6 +94,32 @@ async fn a_moving_viewer_sees_smaller_frames_of_the_same_view_and_the_full_one_a
         let request = wire::RenderFrameRequest { camera: Some(asked), settings: Some(slow()), ..frame_request(DATASET) };
         let unary = server.rendering().await.render_frame(request).await.unwrap().into_inner();
         assert_eq!(still.color, unary.color, "{transport:?}");
+        viewer.leave().await;
+    }
+}
+
+#[tokio::test]
+async fn what_comes_to_rest_is_shown_in_the_encoding_for_rest() {
+    let (_folder, server) = with_dataset().await;
+    let png = wire::RenderFrameRequest { camera: Some(around(1)), output: Some(output(wire::Encoding::Png)), ..frame_request(DATASET) };
+    let expected = server.rendering().await.render_frame(png).await.unwrap().into_inner();
+    let at_rest = wire::OutputSettings { encoding_at_rest: wire::Encoding::Png.into(), ..output(wire::Encoding::Jpeg) };
+    // A viewer that would get 1 frame a second is shown the full size in motion, too: but not the encoding.
+    for (transport, rate) in TRANSPORTS.into_iter().flat_map(|transport| [0.0, 1.0, 240.0].map(|rate| (transport, rate))) {
+        let settings = frame_request(DATASET).settings;
+        let open = wire::OpenInteraction { settings, output: Some(at_rest), moving_frames_per_second: rate, ..opening(1) };
+        let mut viewer = Viewer::open_as(&server, open, transport).await.unwrap();
+        viewer.pose(1, around(1)).await;
+        let mut frames = vec![viewer.frame().await];
+        while frames.last().is_some_and(|frame| !frame.is_final) {
+            viewer.acknowledge(frames.last().unwrap().frame_id).await;
+            frames.push(viewer.frame().await);
+        }
+        let last = frames.pop().unwrap();
+        assert_eq!(last.encoding(), wire::Encoding::Png, "{transport:?}, {rate}");
+        assert!(last.color == expected.color, "{transport:?}, {rate}: not the pixels of a unary frame");
+        assert!(frames.iter().all(|frame| frame.encoding() == wire::Encoding::Jpeg), "{transport:?}, {rate}");
+        assert_eq!(frames.is_empty(), rate == 0.0, "{transport:?}, {rate}");
         viewer.leave().await;
     }
 }

@@ -13,7 +13,7 @@ use lumisphere_proto::v1alpha1::datasets_client::DatasetsClient;
 use lumisphere_proto::v1alpha1::jobs_client::JobsClient;
 use lumisphere_proto::v1alpha1::rendering_client::RenderingClient;
 use lumisphere_proto::v1alpha1::system_client::SystemClient;
-use tonic::transport::Channel;
+use tonic::transport::{Certificate, Channel, ClientTlsConfig};
 
 /// Far beyond what anything here takes, so that a hang is a failure and a slow machine is not.
 pub const PATIENCE: Duration = Duration::from_secs(120);
@@ -35,8 +35,9 @@ pub fn binary(name: &str) -> PathBuf {
 pub struct Server {
     child: Child,
     log: PathBuf,
-    /// "http://127.0.0.1:…", gRPC.
+    /// "http://127.0.0.1:…", gRPC; with TLS "https://127.0.0.1:…".
     pub url: String,
+    certificate: Option<PathBuf>,
     /// "127.0.0.1:…", metrics and probes.
     pub http: String,
 }
@@ -61,9 +62,10 @@ impl Server {
         without_settings(command);
         // A test that waits for the end cannot close its own connections meanwhile. A test's own flag stands above.
         command.env("LUMISPHERE_SHUTDOWN_GRACE_SECONDS", "2");
+        let certificate = is_secure().then(|| secure(command, data));
         let mut child = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(stderr).spawn().expect("the server starts");
         let stdout = child.stdout.take().expect("stdout is piped");
-        let mut server = Self { child, log, url: String::new(), http: String::new() };
+        let mut server = Self { child, log, url: String::new(), certificate, http: String::new() };
         let (told, line) = mpsc::channel();
         thread::spawn(move || {
             let mut lines = BufReader::new(stdout);
@@ -78,7 +80,8 @@ impl Server {
         let (Some(grpc), Some(http)) = (address("grpc="), address("http=")) else {
             panic!("the server said {line:?}; its log:\n{}", server.log_text());
         };
-        (server.url, server.http) = (format!("http://{grpc}"), http);
+        let scheme = if server.certificate.is_some() { "https" } else { "http" };
+        (server.url, server.http) = (format!("{scheme}://{grpc}"), http);
         server
     }
 
@@ -137,6 +140,12 @@ impl Server {
         ended(&mut self.child).unwrap_or_else(|| panic!("the server hung:\n{}", self.log_text()))
     }
 
+    /// For those who connect by themselves.
+    pub fn address(&self) -> ServerAddress {
+        let (_, host) = self.url.split_once("://").expect("a URL");
+        ServerAddress { host: host.into(), certificate: self.certificate.clone() }
+    }
+
     /// The command line against this server.
     pub fn lumisphere(&self, arguments: &[&str]) -> Output {
         self.lumisphere_command(arguments).output().expect("the client starts")
@@ -146,8 +155,17 @@ impl Server {
     pub fn lumisphere_command(&self, arguments: &[&str]) -> Command {
         let mut command = Command::new(binary("lumisphere"));
         without_settings(&mut command);
-        command.args(arguments).env("LUMISPHERE_SERVER", &self.url).stdin(Stdio::null());
+        self.introduce(&mut command);
+        command.args(arguments).stdin(Stdio::null());
         command
+    }
+
+    /// Tells a client where it is and whom to trust.
+    pub fn introduce(&self, command: &mut Command) {
+        command.env("LUMISPHERE_SERVER", &self.url);
+        if let Some(certificate) = &self.certificate {
+            command.env("LUMISPHERE_CA_CERTIFICATE", certificate);
+        }
     }
 
     /// Standard output of a command that must succeed.
@@ -173,7 +191,15 @@ impl Server {
 
     /// A connection of its own.
     pub async fn channel(&self) -> Channel {
-        Channel::from_shared(self.url.clone()).expect("the address is a URL").connect().await.expect("the server listens")
+        let endpoint = Channel::from_shared(self.url.clone()).expect("the address is a URL");
+        let endpoint = match &self.certificate {
+            Some(path) => {
+                let pem = Certificate::from_pem(fs::read(path).expect("the certificate is kept"));
+                endpoint.tls_config(ClientTlsConfig::new().ca_certificate(pem)).expect("a certificate")
+            }
+            None => endpoint,
+        };
+        endpoint.connect().await.expect("the server listens")
     }
 
     /// Datasets and blobs.
@@ -195,6 +221,33 @@ impl Server {
     pub async fn system(&self) -> SystemClient<Channel> {
         SystemClient::new(self.channel().await)
     }
+}
+
+/// Where a server is, and how it shows that it is the one.
+#[derive(Debug, Clone)]
+pub struct ServerAddress {
+    /// "127.0.0.1:…".
+    pub host: String,
+    /// The certificate that it shows; None without TLS.
+    pub certificate: Option<PathBuf>,
+}
+
+/// Whether servers of this run have TLS: the same tests hold for both.
+pub fn is_secure() -> bool {
+    std::env::var_os("TEST_TLS").is_some_and(|value| value == "1")
+}
+
+/// Gives the server a certificate of its own beside its data, which is returned.
+fn secure(command: &mut Command, data: &Path) -> PathBuf {
+    let (certificate, key) = (data.with_extension("pem"), data.with_extension("key"));
+    // A server that starts again on its data is the same server.
+    if !certificate.exists() {
+        let made = rcgen::generate_simple_self_signed(["127.0.0.1".into(), "localhost".into()]).expect("a certificate");
+        fs::write(&certificate, made.cert.pem()).expect("the folder can be written");
+        fs::write(&key, made.signing_key.serialize_pem()).expect("the folder can be written");
+    }
+    command.env("LUMISPHERE_TLS_CERTIFICATE", &certificate).env("LUMISPHERE_TLS_PRIVATE_KEY", &key);
+    certificate
 }
 
 impl Drop for Server {

@@ -8,7 +8,7 @@ use wire::interact_request::Message as Up;
 use wire::interact_response::Message as Down;
 use wire::offset_surface_light_field_settings::{Blend, Component};
 
-use crate::clients::with_dataset;
+use crate::clients::{with_dataset, with_dataset_and};
 use crate::grpc_web;
 use crate::process::{PATIENCE, Server, temporary_folder};
 use crate::system::metric;
@@ -291,11 +291,11 @@ async fn sessions_that_are_not_there_are_not_found() {
     for session_id in ["", "0", &"0".repeat(32), &"x".repeat(100_000), &closed_id] {
         let session_id = session_id.to_string();
         let update = wire::UpdateSessionRequest { session_id: session_id.clone(), sequence: 1, ..Default::default() };
-        let updated: Result<wire::UpdateSessionResponse, _> = grpc_web::unary(&server.url, "Rendering/UpdateSession", &update).await;
+        let updated: Result<wire::UpdateSessionResponse, _> = grpc_web::unary(&server.address(), "Rendering/UpdateSession", &update).await;
         let stream = wire::StreamFramesRequest { session_id: session_id.clone() };
-        let mut streamed = grpc_web::call(&server.url, "Rendering/StreamFrames", &stream).await;
+        let mut streamed = grpc_web::call(&server.address(), "Rendering/StreamFrames", &stream).await;
         let close = wire::CloseSessionRequest { session_id };
-        let closed: Result<wire::CloseSessionResponse, _> = grpc_web::unary(&server.url, "Rendering/CloseSession", &close).await;
+        let closed: Result<wire::CloseSessionResponse, _> = grpc_web::unary(&server.address(), "Rendering/CloseSession", &close).await;
         let streamed = streamed.message::<wire::InteractResponse>().await;
         for refusal in [updated.unwrap_err(), streamed.unwrap_err(), closed.unwrap_err()] {
             assert_eq!(code_and_reason(&refusal), (Code::NotFound, "SESSION_NOT_FOUND".into()), "{refusal:?}");
@@ -324,4 +324,59 @@ async fn a_server_that_stops_tells_every_viewer_and_ends() {
     drop(viewers);
     let status = tokio::task::spawn_blocking(move || server.ended()).await.unwrap();
     assert_eq!(status.code(), Some(0));
+}
+
+/// A server that is built without H.264 says so; `tests/run` builds it with.
+#[tokio::test]
+async fn video_is_one_stream_of_frames_that_build_on_each_other() {
+    let (folder, server) = with_dataset().await;
+    let version = server.system().await.get_version(wire::GetVersionRequest {}).await.unwrap().into_inner();
+    let video = output(wire::Encoding::H264);
+    let unary = wire::RenderFrameRequest { camera: Some(camera(32, 24)), output: Some(video), ..frame_request(DATASET) };
+    let refused = server.rendering().await.render_frame(unary).await.unwrap_err();
+    assert_eq!(code_and_reason(&refused), (Code::InvalidArgument, "FIELD_INVALID".into()));
+    let open = || wire::OpenInteraction { output: Some(video), ..opening(1) };
+    if !version.features.contains(&"encoding.h264".into()) {
+        let refused = Viewer::open_as(&server, open(), Transport::Interact).await.err().expect("a refusal");
+        assert!(refused.message().contains("built without"), "{refused:?}");
+        return;
+    }
+    for transport in TRANSPORTS {
+        let mut viewer = Viewer::open_as(&server, open(), transport).await.unwrap();
+        let mut shown = async |pose_id: u64, width: u32| {
+            viewer.pose(pose_id, camera(width, 24)).await;
+            let frame = viewer.frame().await;
+            assert_eq!((frame.pose_id, frame.encoding(), frame.width_px), (pose_id, wire::Encoding::H264, width), "{transport:?}");
+            // Annex B: a start code.
+            assert!(frame.color.starts_with(&[0, 0, 0, 1]), "{transport:?}");
+            viewer.acknowledge(frame.frame_id).await;
+            frame.is_key
+        };
+        let keys = [shown(1, 32).await, shown(2, 32).await, shown(3, 33).await, shown(4, 40).await, shown(5, 40).await];
+        // 33 columns are coded as 34.
+        assert_eq!(keys, [true, false, true, true, false], "{transport:?}");
+        let too_large = wire::PoseUpdate { pose_id: 6, camera: Some(camera(3842, 24)) };
+        let refusal = viewer.refused(Up::Pose(too_large)).await;
+        assert!(refusal.message.contains("3842 x 24 pixels, as H264 at most 3840 x 2160"), "{refusal:?}");
+        viewer.leave().await;
+    }
+    // A new stream of a session has seen nothing.
+    let mut viewer = Viewer::open_as(&server, open(), Transport::Session).await.unwrap();
+    viewer.pose(1, camera(32, 24)).await;
+    assert!(viewer.frame().await.is_key);
+    assert!(viewer.stream_again().await.is_some());
+    assert!(matches!(viewer.next().await, Some(Down::Opened(_))));
+    assert!(viewer.frame().await.is_key);
+    viewer.leave().await;
+    drop((server, folder));
+    // No more encoders than allowed, those of viewers who have left not counted.
+    let (_folder, server) = with_dataset_and(&["--max-video-sessions", "1"]).await;
+    let first = Viewer::open_as(&server, open(), Transport::Interact).await.unwrap();
+    let refused = Viewer::open_as(&server, open(), Transport::Session).await.err().expect("a refusal");
+    assert_eq!(code_and_reason(&refused), (Code::ResourceExhausted, "TOO_MANY_SESSIONS".into()));
+    let mut other = Viewer::open_as(&server, opening(1), Transport::Interact).await.unwrap();
+    let refusal = other.refused(Up::Settings(wire::SettingsUpdate { settings: None, output: Some(video) })).await;
+    assert_eq!(refusal.code, Code::ResourceExhausted as i32, "{refusal:?}");
+    first.leave().await;
+    other.leave().await;
 }

@@ -14,6 +14,7 @@ use vt100::{Color, MouseProtocolMode, Parser};
 
 use crate::pictures::{Picture, rendered};
 use crate::process::{PATIENCE, Server, binary, ended, temporary_folder, without_settings};
+use crate::relay::Relay;
 use crate::tiny::{self, DATASET};
 
 /// What the tests' terminals answer to the question for their attributes, which comes last.
@@ -58,7 +59,8 @@ impl Terminal {
         let mut command = Command::new("setsid");
         command.args(["--ctty", "sh", "-c", SHELL, "sh"]).arg(binary("lumisphere")).args(arguments);
         without_settings(&mut command);
-        command.env("LUMISPHERE_SERVER", &server.url).env("TERM", "xterm-256color");
+        server.introduce(&mut command);
+        command.env("TERM", "xterm-256color");
         let stdio = || Stdio::from(slave.try_clone().unwrap());
         let child = command.stdin(stdio()).stdout(stdio()).stderr(stdio()).spawn().expect("setsid (util-linux) is there");
         let master = File::from(master);
@@ -236,10 +238,30 @@ fn the_terminal_is_given_back_by_interruption_signal_and_error() {
     let (code, said) = terminal.given_back();
     assert!(code == 130 && said.contains("interrupted"), "{code} {said}");
 
-    let terminal = begun();
+    let mut terminal = Terminal::watch(&server, 60, 13, PLAIN, &["--patience", "0"]);
+    terminal.wait_for_status(&["final"]);
     server.kill();
     let (code, said) = terminal.given_back();
-    assert!(code != 0 && said.contains("error: "), "{code} {said}");
+    assert!(code == 5 && said.contains("error: "), "{code} {said}");
+}
+
+#[test]
+fn a_server_that_was_away_is_looked_at_again_from_where_the_viewer_is_by_then() {
+    let (folder, server) = with_dataset();
+    let relay = Relay::before(&server);
+    let mut terminal = Terminal::watch(&server, 60, 13, PLAIN, &["--server", &relay.url(&server)]);
+    terminal.wait_for_status(&["az 0°", "final"]);
+    relay.lead_to(None);
+    server.kill();
+    terminal.wait_for_status(&["reconnecting"]);
+    // Turned meanwhile.
+    terminal.press("\x1b[C");
+    let server = Server::start(&folder.path().join("data"));
+    relay.lead_to(Some(&server));
+    terminal.wait_for_status(&["az 5°", "60x24 final"]);
+    assert!(terminal.picture().mean(&truth(&server, &folder, "60x24", "5")) < SAME);
+    terminal.press("q");
+    assert_eq!(terminal.given_back(), (0, String::new()));
 }
 
 #[test]

@@ -11,7 +11,7 @@ use wire::offset_surface_light_field_settings::{Blend, Component};
 use wire::rendering_client::RenderingClient;
 
 use crate::grpc_web;
-use crate::process::{PATIENCE, Server};
+use crate::process::{PATIENCE, Server, ServerAddress};
 use crate::tiny::DATASET;
 use crate::wire::{output, settings};
 
@@ -38,7 +38,7 @@ pub struct Viewer {
 enum Upward {
     Stream(mpsc::Sender<wire::InteractRequest>),
     Calls { client: RenderingClient<Channel>, session_id: String, sequence: u64 },
-    Web { url: String, session_id: String, sequence: u64 },
+    Web { server: ServerAddress, session_id: String, sequence: u64 },
 }
 
 /// What comes down.
@@ -105,12 +105,12 @@ impl Viewer {
                 Self { up, down: Some(Stream::Http2(client.stream_frames(request).await?.into_inner())) }
             }
             Transport::Web => {
-                let url = server.url.clone();
+                let server = server.address();
                 let request = wire::OpenSessionRequest { open: Some(open) };
-                let opened: wire::OpenSessionResponse = grpc_web::unary(&url, "Rendering/OpenSession", &request).await?;
+                let opened: wire::OpenSessionResponse = grpc_web::unary(&server, "Rendering/OpenSession", &request).await?;
                 let request = wire::StreamFramesRequest { session_id: opened.session_id.clone() };
-                let down = grpc_web::call(&url, "Rendering/StreamFrames", &request).await;
-                Self { up: Upward::Web { url, session_id: opened.session_id, sequence: 0 }, down: Some(Stream::Web(down)) }
+                let down = grpc_web::call(&server, "Rendering/StreamFrames", &request).await;
+                Self { up: Upward::Web { server, session_id: opened.session_id, sequence: 0 }, down: Some(Stream::Web(down)) }
             }
         };
         match viewer.answer().await? {
@@ -150,10 +150,10 @@ impl Viewer {
                 *sequence += 1;
                 client.update_session(update(session_id, *sequence, message)).await?;
             }
-            Upward::Web { url, session_id, sequence } => {
+            Upward::Web { server, session_id, sequence } => {
                 *sequence += 1;
                 let update = update(session_id, *sequence, message);
-                grpc_web::unary::<wire::UpdateSessionResponse>(url, "Rendering/UpdateSession", &update).await?;
+                grpc_web::unary::<wire::UpdateSessionResponse>(server, "Rendering/UpdateSession", &update).await?;
             }
         }
         Ok(())
@@ -201,8 +201,8 @@ impl Viewer {
         match &mut self.up {
             Upward::Stream(_) => self.half_close(),
             Upward::Calls { client, session_id, .. } => drop(client.close_session(close(session_id)).await.unwrap()),
-            Upward::Web { url, session_id, .. } => {
-                grpc_web::unary::<wire::CloseSessionResponse>(url, "Rendering/CloseSession", &close(session_id)).await.unwrap();
+            Upward::Web { server, session_id, .. } => {
+                grpc_web::unary::<wire::CloseSessionResponse>(server, "Rendering/CloseSession", &close(session_id)).await.unwrap();
             }
         }
         assert_eq!(self.next().await, None, "the end");
@@ -227,7 +227,7 @@ impl Viewer {
         let down = match &mut self.up {
             Upward::Stream(_) => panic!("Interact has one stream"),
             Upward::Calls { client, .. } => Stream::Http2(client.stream_frames(request).await.unwrap().into_inner()),
-            Upward::Web { url, .. } => Stream::Web(grpc_web::call(url, "Rendering/StreamFrames", &request).await),
+            Upward::Web { server, .. } => Stream::Web(grpc_web::call(server, "Rendering/StreamFrames", &request).await),
         };
         self.down.replace(down)
     }

@@ -7,6 +7,7 @@ mod screen;
 mod steering;
 
 use std::io::{self, IsTerminal, Write};
+use std::pin::Pin;
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -18,7 +19,7 @@ use tokio::sync::mpsc;
 
 use crate::commands::render::version_of;
 use crate::context::{Context, Server};
-use crate::exit::Failure;
+use crate::exit::{Failure, is_broken_connection};
 use crate::interaction::{Answer, Interaction, Wanted};
 use crate::render_settings::SettingsFlags;
 use pictures::{Area, Effort, Lines, Protocol, USUAL_CELL_PX};
@@ -32,6 +33,8 @@ const CREDITS: u32 = 2;
 const WAITING_EVENTS: usize = 256;
 /// Of a terminal that tells no size, and of a pipe.
 const USUAL_CELLS: Cells = Cells { columns: 80, rows: 24 };
+/// Between attempts to reach a server that is away.
+const PAUSE: Duration = Duration::from_millis(500);
 const HELP: &str = "arrows or drag turn, WASD move, +/- or wheel nearer/farther, r reset, q quit";
 
 /// Flags of `watch`.
@@ -73,6 +76,9 @@ pub struct Arguments {
     /// Shows 1 − exp(−GAMMA · radiance · 2^STOPS), which never clips, 0 to 1000; 0 for none
     #[arg(long, value_name = "GAMMA", default_value_t = 0.0)]
     gamma: f32,
+    /// How long the server may be away before the viewer gives up
+    #[arg(long, value_name = "SECONDS", default_value_t = 60)]
+    patience: u32,
     #[command(flatten)]
     settings: SettingsFlags,
 }
@@ -127,8 +133,10 @@ pub async fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<()>
         };
     }
     let title = format!("{} v{}", arguments.dataset, version.version);
-    let interaction = Interaction::open(context, &server, open).await?;
-    Live::begin(arguments, interaction, Steering::new(home, radius(&bounds)), title)?.run().await
+    let interaction = Interaction::open(context, &server, open.clone()).await?;
+    let patience = Duration::from_secs(arguments.patience.into());
+    let reopen = || -> Reopening<'_> { Box::pin(reopen(context, &server, open.clone(), patience)) };
+    Live::begin(arguments, interaction, Steering::new(home, radius(&bounds)), title)?.run(&reopen).await
 }
 
 /// What the server would not refuse.
@@ -214,6 +222,20 @@ async fn print_once(
     Ok(())
 }
 
+/// An attempt to open the interaction once more.
+type Reopening<'a> = Pin<Box<dyn Future<Output = anyhow::Result<Interaction>> + 'a>>;
+
+/// Tries until the server is back, or it has been away too long.
+async fn reopen(context: &Context, server: &Server, open: wire::OpenInteraction, patience: Duration) -> anyhow::Result<Interaction> {
+    let lost = Instant::now();
+    loop {
+        match Interaction::open(context, server, open.clone()).await {
+            Err(error) if is_broken_connection(&error) && lost.elapsed() < patience => tokio::time::sleep(PAUSE).await,
+            opened => return opened,
+        }
+    }
+}
+
 /// A viewer at a terminal.
 struct Live {
     ends: Ends,
@@ -293,8 +315,10 @@ impl Live {
         Ok(Self { ends, interaction, screen, protocol, answers, cells: cells(), steering, title, pose_id: 0, asked, news })
     }
 
-    async fn run(mut self) -> anyhow::Result<()> {
+    async fn run<'a>(mut self, reopen: &dyn Fn() -> Reopening<'a>) -> anyhow::Result<()> {
         let mut events = events();
+        // While the connection is lost.
+        let mut reopening: Option<Reopening<'a>> = None;
         self.screen.clear()?;
         self.look().await;
         self.show(&[])?;
@@ -317,16 +341,28 @@ impl Live {
                         self.look().await;
                     }
                 }
-                answer = self.interaction.next() => match answer? {
-                    Answer::Frame(frame) => {
+                answer = self.interaction.next(), if reopening.is_none() => match answer {
+                    Ok(Answer::Frame(frame)) => {
                         self.draw(&frame)?;
                         self.interaction.acknowledge(&frame).await;
                     }
-                    Answer::Refused(status) => {
+                    Ok(Answer::Refused(status)) => {
                         self.news = format!("{} ({})", status.message(), crate::exit::code_name(status.code()));
                         self.show(&[])?;
                     }
+                    Err(error) if is_broken_connection(&error) => {
+                        reopening = Some(reopen());
+                        self.news = "reconnecting".into();
+                        self.show(&[])?;
+                    }
+                    Err(error) => return Err(error),
                 },
+                opened = async { reopening.as_mut().expect("checked before").await }, if reopening.is_some() => {
+                    reopening = None;
+                    self.interaction = opened?;
+                    // From where the viewer is by now.
+                    self.look().await;
+                }
             }
         }
     }

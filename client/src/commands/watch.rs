@@ -3,7 +3,6 @@
 use std::time::{Duration, Instant};
 
 use lumisphere_proto::v1alpha1 as wire;
-use tonic::{Code, Status};
 use wire::JobState;
 
 use crate::context::{Context, Server};
@@ -61,7 +60,7 @@ async fn follow(context: &Context, server: &Server, name: &str, events: Events) 
             }
             // The stream ended, or the connection broke, before the job did.
             Ok(None) => {}
-            Err(error) if is_broken_connection(&error) => {}
+            Err(error) if crate::exit::is_broken_connection(&error) => {}
             Err(error) => return Err(error),
         }
         let lost_since = *lost_at.filter(|_| after_sequence == before).get_or_insert_with(Instant::now);
@@ -106,12 +105,4 @@ async fn follow_once(
         }
     }
     Ok(None)
-}
-
-fn is_broken_connection(error: &anyhow::Error) -> bool {
-    // A reset in mid-stream comes as UNKNOWN or INTERNAL from the transport, without our details.
-    error.downcast_ref::<Status>().is_some_and(|status| {
-        status.code() == Code::Unavailable
-            || (matches!(status.code(), Code::Unknown | Code::Internal | Code::Cancelled) && crate::exit::reason(status).is_empty())
-    })
 }

@@ -2,9 +2,11 @@
 //!
 //! One [`Renderer`] serves every dataset. What a dataset needs beside its pages (vertex buffers, sample maps, trees, an atlas of
 //! pages on the GPU) is made at its first frame and kept until others need the room, least recently used first. All calls block;
-//! frames on the GPU take turns.
+//! frames on the GPU take turns. A device that is lost takes all that with it: the CPU draws that frame, another device the next.
 
 mod accumulator;
+#[cfg(feature = "gpu")]
+mod device;
 #[cfg(feature = "gpu")]
 mod gpu_tier;
 
@@ -16,9 +18,11 @@ use std::time::Instant;
 
 pub use self::accumulator::Accumulator;
 #[cfg(feature = "gpu")]
+use self::device::{Device, OpenDevice};
+#[cfg(feature = "gpu")]
 use self::gpu_tier::GpuTier;
 #[cfg(feature = "gpu")]
-use crate::gpu::{Gpu, GpuCacheStats};
+use crate::gpu::GpuCacheStats;
 #[cfg(feature = "gpu")]
 use crate::representations::GpuKernel;
 #[cfg(feature = "gpu")]
@@ -96,7 +100,7 @@ pub struct Renderer {
 
 #[cfg(feature = "gpu")]
 struct GpuSide {
-    gpu: Arc<Gpu>,
+    device: OpenDevice,
     tier: Mutex<GpuTier>,
 }
 
@@ -117,7 +121,7 @@ impl Renderer {
     /// Errors when there is no adapter.
     #[cfg(feature = "gpu")]
     pub fn with_gpu(budget_bytes: u64) -> Result<Self, RenderError> {
-        let gpu = GpuSide { gpu: Arc::new(Gpu::new()?), tier: Mutex::new(GpuTier::new(budget_bytes)) };
+        let gpu = GpuSide { device: OpenDevice::new()?, tier: Mutex::new(GpuTier::new(budget_bytes)) };
         Ok(Self { gpu: Some(gpu), ..Self::cpu_only() })
     }
 
@@ -133,17 +137,17 @@ impl Renderer {
     }
 
     /// The adapter's name; None on the CPU.
-    pub fn adapter(&self) -> Option<&str> {
+    pub fn adapter(&self) -> Option<String> {
         #[cfg(feature = "gpu")]
-        return self.gpu.as_ref().map(|g| g.gpu.adapter());
+        return self.gpu.as_ref().map(|g| g.device.latest().adapter().into());
         #[cfg(not(feature = "gpu"))]
         return None;
     }
 
     /// The adapter's driver and its version; None on the CPU.
-    pub fn driver(&self) -> Option<&str> {
+    pub fn driver(&self) -> Option<String> {
         #[cfg(feature = "gpu")]
-        return self.gpu.as_ref().map(|g| g.gpu.driver());
+        return self.gpu.as_ref().map(|g| g.device.latest().driver().into());
         #[cfg(not(feature = "gpu"))]
         return None;
     }
@@ -219,7 +223,11 @@ impl Renderer {
         let side = self.gpu.as_ref().ok_or(RenderError::NoGpu)?;
         let begin = Instant::now();
         let mut tier = side.tier();
-        let mut resident = tier.take(&side.gpu, representation, pages.version_slot())?;
+        let Device { gpu: device, is_new } = side.device.working()?;
+        if is_new {
+            tier.lose_all();
+        }
+        let mut resident = tier.take(&device, representation, pages.version_slot())?;
         let prepare_millis = millis_since(begin);
         let pages = CountingSource::new(pages);
         let outcome = resident.kernel.render(request, &pages);
@@ -227,7 +235,7 @@ impl Renderer {
         tier.put_back(resident);
         drop(tier);
         if outcome.is_err() {
-            side.gpu.release_dropped();
+            device.release_dropped();
         }
         let (pixels, gpu) = outcome?;
         let stats = FrameStats {
@@ -241,6 +249,19 @@ impl Renderer {
             device_bytes: Some(device_bytes),
         };
         Ok(frame(request, pixels, stats))
+    }
+
+    /// How many devices were lost and others opened in their place.
+    pub fn devices_replaced(&self) -> u64 {
+        self.gpu.as_ref().map_or(0, |side| side.device.replaced())
+    }
+
+    /// As when the adapter is taken away. Nothing without a GPU.
+    #[doc(hidden)]
+    pub fn lose_device(&self) {
+        if let Some(side) = &self.gpu {
+            side.device.latest().lose();
+        }
     }
 
     /// Pages that a frame like `request` would miss on the device, at most `upload_bytes` of texels: shading its object tells, reading
@@ -370,6 +391,36 @@ mod tests {
         // With room it is tried again.
         renderer.set_gpu_budget(1 << 28);
         assert_eq!(renderer.render(&field, &pages, &request, Some(Backend::Gpu)).unwrap().stats.backend, Backend::Gpu);
+    }
+
+    #[test]
+    fn a_device_that_is_lost_is_replaced_and_no_frame_is() {
+        if crate::gpu::test_gpu().is_none() {
+            return;
+        }
+        let renderer = Renderer::with_gpu(1 << 28).unwrap();
+        let (field, pages) = WORLD.build();
+        let camera = WORLD.camera(3.0 * glam::Vec3::Z, glam::Vec3::ZERO, 16, 12);
+        let field: Arc<dyn Representation> = Arc::new(field);
+        let settings = Settings::OffsetSurfaceLightField(oslf::Settings {
+            component: oslf::Component::Mirror,
+            blend: oslf::Blend::Distance,
+            specular_reflectance: glam::Vec3::ONE,
+            filter: oslf::Filter::Footprint,
+        });
+        let outputs = Outputs { depth: false, provenance: false };
+        let request = FrameRequest { camera: &camera, settings: &settings, outputs, refine: Refine::Whole };
+        let frame = || renderer.render(&field, &pages, &request, None).unwrap();
+        let before = frame();
+        assert_eq!(before.stats.backend, Backend::Gpu);
+        renderer.lose_device();
+        // Whatever asks first hears of it.
+        assert!(renderer.look_ahead(&field, &request, 1 << 20).is_err());
+        let after = frame();
+        assert_eq!((after.stats.backend, after.pixels.color == before.pixels.color), (Backend::Gpu, true));
+        let asked = |frame: &Frame| frame.stats.page_use.hits + frame.stats.page_use.misses;
+        assert!(asked(&after) > 0, "the pages are brought anew");
+        assert_eq!((asked(&frame()), renderer.devices_replaced()), (0, 1));
     }
 
     #[test]

@@ -25,6 +25,8 @@ pub struct Config {
     pub http_address: SocketAddr,
     /// Datasets, blobs and job records.
     pub data_dir: PathBuf,
+    /// Of gRPC's port; None for no transport security.
+    pub tls: Option<TlsFiles>,
     /// What renders.
     pub backend: BackendChoice,
     /// Both memory tiers of the texture cache.
@@ -43,6 +45,8 @@ pub struct Config {
     pub render_queue_length: usize,
     /// Viewers at once: `Interact` streams and sessions.
     pub max_sessions: usize,
+    /// Of those, who is sent H.264.
+    pub max_video_sessions: usize,
     /// How long a session is kept while no stream of it is open.
     pub session_expiry: Duration,
     /// How long a viewer may leave a frame unread or unacknowledged.
@@ -69,6 +73,15 @@ pub struct Config {
     pub shutdown_grace: Duration,
     /// What is logged (`tracing` filter directives).
     pub log: String,
+}
+
+/// PEM files.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct TlsFiles {
+    /// The server's, then those that vouch for it.
+    pub certificate: PathBuf,
+    /// The first one's.
+    pub private_key: PathBuf,
 }
 
 /// Whether pages are brought ahead.
@@ -178,9 +191,14 @@ struct Setting {
 enum Kind {
     Address,
     Path,
+    /// Or empty, for none.
+    OptionalPath,
     Text,
     Choice(&'static [&'static str]),
-    Count { min: u64, max: u64 },
+    Count {
+        min: u64,
+        max: u64,
+    },
     Origins,
 }
 
@@ -202,6 +220,13 @@ const SETTINGS: &[Setting] = &[
         default: "\"127.0.0.1:7444\"",
         about: "Address and port of /metrics, /healthz and /readyz",
     },
+    Setting {
+        key: "tls_certificate",
+        kind: Kind::OptionalPath,
+        default: "\"\"",
+        about: "The server's certificate and those that vouch for it (PEM), for gRPC over TLS; \"\" for none",
+    },
+    Setting { key: "tls_private_key", kind: Kind::OptionalPath, default: "\"\"", about: "That certificate's private key (PEM)" },
     Setting { key: "data_dir", kind: Kind::Path, default: "\"lumisphere-data\"", about: "Folder of datasets, blobs and job records" },
     Setting {
         key: "backend",
@@ -275,6 +300,12 @@ const SETTINGS: &[Setting] = &[
         kind: Kind::Count { min: 1, max: 65_536 },
         default: "64",
         about: "Viewers at once: Interact streams and sessions",
+    },
+    Setting {
+        key: "max_video_sessions",
+        kind: Kind::Count { min: 1, max: 65_536 },
+        default: "8",
+        about: "Of those, how many may be sent H.264",
     },
     Setting {
         key: "session_expiry_seconds",
@@ -373,7 +404,7 @@ impl Effective {
             }
         }
         let entries = values.iter().map(|(key, (value, origin))| Entry { key, value: value.to_string(), origin: origin.clone() }).collect();
-        Ok(Self { config: Config::from_values(&values), entries })
+        Ok(Self { config: Config::from_values(&values)?, entries })
     }
 }
 
@@ -406,7 +437,7 @@ impl fmt::Display for Value {
 }
 
 impl Config {
-    fn from_values(values: &BTreeMap<&'static str, (Value, Origin)>) -> Self {
+    fn from_values(values: &BTreeMap<&'static str, (Value, Origin)>) -> Result<Self, ConfigError> {
         let text = |key: &str| match &values[key].0 {
             Value::Text(text) => text.clone(),
             other => unreachable!("{key} is text by the table, not {other}"),
@@ -422,10 +453,23 @@ impl Config {
         let address = |key: &str| text(key).parse().expect("addresses were checked by their kind");
         let policy = |key: &str| text(key).parse::<PolicyKind>().expect("the table's choices are the policies' names");
         let size = |key: &str| usize::try_from(count(key)).expect("counts that become sizes are bounded by the table");
-        Self {
+        let tls = match (text("tls_certificate"), text("tls_private_key")) {
+            (certificate, private_key) if certificate.is_empty() && private_key.is_empty() => None,
+            (certificate, private_key) if !certificate.is_empty() && !private_key.is_empty() => {
+                Some(TlsFiles { certificate: certificate.into(), private_key: private_key.into() })
+            }
+            (certificate, _) => {
+                let key = if certificate.is_empty() { "tls_certificate" } else { "tls_private_key" };
+                let (value, origin) = values[key].clone();
+                let expected = "a path, since the other of certificate and private key is given".into();
+                return Err(ConfigError::BadValue { key, value: value.to_string(), origin, expected });
+            }
+        };
+        Ok(Self {
             listen_address: address("listen_address"),
             http_address: address("http_address"),
             data_dir: text("data_dir").into(),
+            tls,
             backend: match text("backend").as_str() {
                 "gpu" => BackendChoice::Gpu,
                 "cpu" => BackendChoice::Cpu,
@@ -448,6 +492,7 @@ impl Config {
             max_pixels_per_frame: count("max_pixels_per_frame"),
             render_queue_length: size("render_queue_length"),
             max_sessions: size("max_sessions"),
+            max_video_sessions: size("max_video_sessions"),
             session_expiry: Duration::from_secs(count("session_expiry_seconds")),
             mute_viewer: Duration::from_secs(count("mute_viewer_seconds")),
             max_concurrent_jobs: size("max_concurrent_jobs"),
@@ -461,7 +506,7 @@ impl Config {
             allowed_origins: list("allowed_origins"),
             shutdown_grace: Duration::from_secs(count("shutdown_grace_seconds")),
             log: text("log"),
-        }
+        })
     }
 }
 
@@ -487,7 +532,7 @@ impl Setting {
         let parsed = match self.kind {
             Kind::Count { .. } => text.trim().replace('_', "").parse().ok().map(Value::Count),
             Kind::Origins => Some(Value::List(text.split(',').map(str::trim).filter(|o| !o.is_empty()).map(String::from).collect())),
-            Kind::Address | Kind::Path | Kind::Text | Kind::Choice(_) => Some(Value::Text(text.into())),
+            Kind::Address | Kind::Path | Kind::OptionalPath | Kind::Text | Kind::Choice(_) => Some(Value::Text(text.into())),
         };
         parsed.and_then(|v| self.accept(v)).ok_or_else(|| self.refuse(format!("{text:?}"), origin))
     }
@@ -497,6 +542,7 @@ impl Setting {
         let fits = match (&self.kind, &value) {
             (Kind::Address, Value::Text(text)) => text.parse::<SocketAddr>().is_ok(),
             (Kind::Path, Value::Text(text)) => !text.is_empty() && !text.contains('\0'),
+            (Kind::OptionalPath, Value::Text(text)) => !text.contains('\0'),
             (Kind::Text, Value::Text(text)) => text.parse::<tracing_subscriber::EnvFilter>().is_ok(),
             (Kind::Choice(choices), Value::Text(text)) => choices.contains(&text.as_str()),
             (Kind::Count { min, max }, Value::Count(count)) => (min..=max).contains(&count),
@@ -510,6 +556,7 @@ impl Setting {
         let expected = match &self.kind {
             Kind::Address => "an IP address and a port (\"127.0.0.1:7443\")".to_string(),
             Kind::Path => "a path that is not empty".to_string(),
+            Kind::OptionalPath => "a path, or \"\" for none".to_string(),
             Kind::Text => "tracing filter directives (\"info\", \"lumisphere_server=debug\")".to_string(),
             Kind::Choice(choices) => format!("one of {}", choices.join(", ")),
             Kind::Count { min, max } => format!("an integer from {min} to {max}"),
@@ -610,6 +657,8 @@ mod tests {
         assert!(refused("max_sessions = true").ends_with("an integer from 1 to 65536 expected"));
         assert!(refused("listen_address = \"localhost\"").contains("an IP address and a port"));
         assert!(refused("backend = \"tpu\"").ends_with("one of auto, gpu, cpu expected"));
+        assert!(refused("tls_certificate = \"a.pem\"").contains("tls_private_key = \"\" (default): a path, since"));
+        assert!(refused("tls_private_key = \"a.key\"").contains("tls_certificate = \"\" (default): a path, since"));
         assert!(refused("data_dir = \"\"").contains("a path that is not empty"));
         assert!(refused("allowed_origins = [\"viewer.example/path\"]").contains("a list of origins"));
         assert!(refused("max_sessions = ").contains("not TOML"));

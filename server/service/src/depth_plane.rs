@@ -54,7 +54,7 @@ impl DepthPlane {
                 (compressed(picked.iter().map(|d| inverse(*d, nearest).to_le_bytes()))?, nearest)
             }
         };
-        Ok(EncodedDepth { bytes, width_px: told(width).len() as u32, height_px: told(height).len() as u32, nearest })
+        Ok(EncodedDepth { bytes: bytes.into(), width_px: told(width).len() as u32, height_px: told(height).len() as u32, nearest })
     }
 
     /// The middle of the step, or the last there is.

@@ -19,6 +19,7 @@ use crate::prefetch::Expected;
 use crate::render_queue::{Idle, Priority, QueueError, RenderQueue, Rendered};
 use crate::still::{Held, Rooms, Still};
 use crate::telemetry::Metrics;
+use crate::video::{Encoded, Video};
 use crate::wire::cache::GpuTier;
 use crate::wire::frames::{EncodedFrame, cache_use};
 use crate::wire::settings::{Encoding, Output, RenderSettings};
@@ -56,7 +57,12 @@ pub struct FrameOrder {
     pub refine: Refine,
     /// Of a still: those that the settings ask for; 1 for a frame that is not refined.
     pub passes: u32,
+    /// Which it goes on with, where its encoding is H.264.
+    pub video: Option<VideoStream>,
 }
+
+/// Of one viewer, one frame after the other.
+pub type VideoStream = Arc<Mutex<Video>>;
 
 /// Who waits for a frame, and how long.
 #[derive(Debug, Clone, Copy)]
@@ -260,14 +266,20 @@ fn draw(renderer: &Renderer, gpu: &Mutex<Option<GpuTier>>, order: &FrameOrder, p
         BackendChoice::Cpu => Some(Backend::Cpu),
     };
     let pages = FramePages::new(&order.version.pages);
-    let before = renderer.gpu_stats().unwrap_or_default();
+    let (before, replaced) = (renderer.gpu_stats().unwrap_or_default(), renderer.devices_replaced());
     let rendered = renderer.render(&order.version.representation, &pages, &request, backend);
     note_gpu_tier(gpu, renderer);
     let frame = rendered?;
+    if renderer.devices_replaced() > replaced {
+        tracing::warn!(adapter = renderer.adapter(), "the graphics device was lost; another was opened");
+    }
+    if let Some(reason) = &frame.stats.fallback {
+        tracing::debug!(dataset = order.version.dataset, reason, "the CPU stands in for the GPU");
+    }
     let after = renderer.gpu_stats().unwrap_or_default();
     let adapter_use = frame.stats.gpu.map(|frame| AdapterUse { before, after, frame });
     let cache = cache_use(&pages.asked(), adapter_use.as_ref());
-    let adapter = (frame.stats.backend == Backend::Gpu).then(|| renderer.adapter().unwrap_or_default().to_string());
+    let adapter = (frame.stats.backend == Backend::Gpu).then(|| renderer.adapter().unwrap_or_default());
     Ok(Drawn { frame, adapter, cache })
 }
 
@@ -299,12 +311,15 @@ fn observe(metrics: &Metrics, timings: &proto::FrameTimings) {
 fn encode(still: &mut Still, metrics: &Metrics) -> Result<EncodedFrame, ApiError> {
     let begun = Instant::now();
     let (pixels, output) = (still.pixels(), still.order.output);
-    let color = encode_color(still, output.encoding)?;
+    let (all_pages, is_final) = (pixels.is_final, pixels.is_final && still.is_done());
+    let encoding = output.encoding_at_rest.filter(|_| is_final).unwrap_or(output.encoding);
+    let Encoded { bytes, is_key } = encode_color(still, encoding)?;
+    let color = Bytes::from(bytes);
     let width = still.order.camera.intrinsics().width_px;
     let depth = output.depth.zip(pixels.depth.as_deref()).map(|(plane, distances)| plane.encode(distances, width));
     let depth = depth.transpose()?.unwrap_or_default();
     let provenance = pixels.provenance.as_deref();
-    let provenance = provenance.map_or(Ok(Bytes::new()), |p| compressed(p.iter().map(|v| v.bits().to_le_bytes())))?;
+    let provenance = provenance.map_or(Ok(Vec::new()), |p| compressed(p.iter().map(|v| v.bits().to_le_bytes())))?;
     let bytes = color.len() + depth.bytes.len() + provenance.len();
     if bytes > MAX_FRAME_MESSAGE_BYTES - MESSAGE_OVERHEAD_BYTES {
         let message = format!(
@@ -312,40 +327,45 @@ fn encode(still: &mut Still, metrics: &Metrics) -> Result<EncodedFrame, ApiError
         );
         return Err(ApiError::new(Reason::FrameTooLarge, message));
     }
-    let (all_pages, is_final) = (pixels.is_final, pixels.is_final && still.is_done());
     let (timings, cache) = still.take_account();
     let timings = proto::FrameTimings { encode_micros: begun.elapsed().as_micros() as u64, ..timings };
     observe(metrics, &timings);
     Ok(EncodedFrame {
         camera: still.order.camera,
-        encoding: output.encoding,
+        encoding,
         color,
         depth,
-        provenance,
+        provenance: provenance.into(),
         timings,
         cache,
         adapter: still.adapter.clone(),
         is_final,
         all_pages,
         passes_done: still.passes(),
+        is_key,
     })
 }
 
-fn encode_color(still: &Still, encoding: Encoding) -> Result<Bytes, ApiError> {
+/// Every image is a key but those of H.264 that say what has changed.
+fn encode_color(still: &Still, encoding: Encoding) -> Result<Encoded, ApiError> {
     let failed = |e: lumisphere::images::ImageError| ApiError::internal(format!("cannot encode a frame: {e}"));
     let encoded = match encoding {
-        Encoding::RawZstd => return compressed(still.pixels().color.iter().map(|v| v.to_le_bytes())),
+        Encoding::RawZstd => return Ok(Encoded { bytes: compressed(still.pixels().color.iter().map(|v| v.to_le_bytes()))?, is_key: true }),
         Encoding::Exr => encode_exr_rgb(&color_image(still), ExrStorage::Float),
         Encoding::Png { tone_map } => tone_mapped(&color_image(still), tone_map).and_then(|i| encode_png(&i)),
         Encoding::Jpeg { quality, tone_map } => tone_mapped(&color_image(still), tone_map).and_then(|i| encode_jpeg(&i, quality)),
+        Encoding::H264 { quality, tone_map } => {
+            let image = tone_mapped(&color_image(still), tone_map).map_err(failed)?;
+            let video = still.order.video.as_ref().ok_or_else(|| ApiError::internal("a frame of a stream without the stream"))?;
+            return video.lock().unwrap_or_else(PoisonError::into_inner).encode(&image, quality);
+        }
     };
-    Ok(encoded.map_err(failed)?.into())
+    Ok(Encoded { bytes: encoded.map_err(failed)?, is_key: true })
 }
 
 /// One zstd frame of little-endian words.
-pub fn compressed<const N: usize>(words: impl ExactSizeIterator<Item = [u8; N]>) -> Result<Bytes, ApiError> {
+pub fn compressed<const N: usize>(words: impl ExactSizeIterator<Item = [u8; N]>) -> Result<Vec<u8>, ApiError> {
     let mut bytes = Vec::with_capacity(N * words.len());
     words.for_each(|word| bytes.extend_from_slice(&word));
-    let packed = zstd::bulk::compress(&bytes, ZSTD_LEVEL).map_err(|e| ApiError::internal(format!("cannot compress a frame: {e}")))?;
-    Ok(packed.into())
+    zstd::bulk::compress(&bytes, ZSTD_LEVEL).map_err(|e| ApiError::internal(format!("cannot compress a frame: {e}")))
 }

@@ -19,6 +19,11 @@ mod sessions;
 mod shutdown;
 mod still;
 mod telemetry;
+#[cfg(feature = "h264")]
+mod video;
+#[cfg(not(feature = "h264"))]
+#[path = "no_video.rs"]
+mod video;
 mod viewer_page;
 mod wire;
 mod work;
@@ -138,6 +143,7 @@ fn assemble(effective: Effective, runtime: &tokio::runtime::Handle) -> anyhow::R
         max_pixels_per_frame: config.max_pixels_per_frame,
         upload_bytes_per_frame: config.gpu_upload_bytes_per_frame,
         looks_ahead: config.prefetch == Prefetch::Motion && adapter.is_some(),
+        video_places: Arc::new(tokio::sync::Semaphore::new(config.max_video_sessions)),
         expiry: config.session_expiry,
         mute_patience: config.mute_viewer,
     };
@@ -191,5 +197,5 @@ fn make_renderer(choice: BackendChoice, gpu_cache_bytes: u64) -> anyhow::Result<
 }
 
 fn adapter_of(renderer: &Renderer) -> Option<Adapter> {
-    renderer.adapter().map(|name| Adapter { name: name.into(), driver: renderer.driver().unwrap_or_default().into() })
+    renderer.adapter().map(|name| Adapter { name, driver: renderer.driver().unwrap_or_default() })
 }

@@ -1,6 +1,7 @@
 //! The two ports: gRPC with gRPC-Web, health, reflection and the browser viewer on one, metrics and probes on the other.
 
 use std::net::SocketAddr;
+use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -8,8 +9,8 @@ use anyhow::Context;
 use http::{HeaderName, HeaderValue, Method};
 use tokio::net::TcpListener;
 use tonic::service::Routes;
-use tonic::transport::Server;
 use tonic::transport::server::TcpIncoming;
+use tonic::transport::{Identity, Server, ServerTlsConfig};
 use tonic_health::ServingStatus;
 use tonic_health::pb::health_server::{Health, HealthServer};
 use tonic_health::server::HealthReporter;
@@ -17,6 +18,7 @@ use tonic_web::GrpcWebLayer;
 use tower_http::cors::{AllowOrigin, CorsLayer};
 
 use crate::api::{Api, App};
+use crate::config::TlsFiles;
 use crate::freed_memory::give_back;
 use crate::shutdown::{Drained, StopSignals, until_drained};
 use crate::telemetry::{Metrics, Observed, RpcMetrics, http_routes};
@@ -32,6 +34,8 @@ use crate::wire::{FILE_DESCRIPTOR_SET, MAX_FRAME_MESSAGE_BYTES, MAX_REQUEST_BYTE
 /// A peer that is gone is noticed after these.
 const KEEPALIVE_INTERVAL: Duration = Duration::from_secs(20);
 const KEEPALIVE_TIMEOUT: Duration = Duration::from_secs(20);
+/// A peer that does not finish its TLS handshake is let go.
+const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(10);
 /// Streams on one connection.
 const MAX_CONCURRENT_STREAMS: u32 = 256;
 /// Window of a stream and of a connection for what clients send: several chunks of a blob.
@@ -47,7 +51,7 @@ pub async fn serve(app: Arc<App>, grace: Duration) -> anyhow::Result<()> {
     let signals = StopSignals::install().context("cannot take signals")?;
     let grpc = bind(app.config.listen_address).await?;
     let http = bind(app.config.http_address).await?;
-    warn_of_open_port(grpc.local_addr()?);
+    warn_of_open_port(grpc.local_addr()?, app.config.tls.is_some());
     // One line on stdout once both ports take connections: for scripts that asked for port 0.
     println!("listening grpc={} http={}", grpc.local_addr()?, http.local_addr()?);
     tokio::spawn(signals.watch(app.stopping.clone()));
@@ -64,7 +68,11 @@ pub async fn serve(app: Arc<App>, grace: Duration) -> anyhow::Result<()> {
     };
     // tonic leaves these to whoever brings the listener.
     let incoming = TcpIncoming::from(grpc).with_nodelay(Some(true)).with_keepalive(Some(KEEPALIVE_INTERVAL));
-    let grpc_served = Server::builder()
+    let mut builder = Server::builder();
+    if let Some(files) = &app.config.tls {
+        builder = builder.tls_config(tls(files)?).with_context(|| format!("tls_certificate {}", files.certificate.display()))?;
+    }
+    let grpc_served = builder
         .accept_http1(true)
         .http2_keepalive_interval(Some(KEEPALIVE_INTERVAL))
         .http2_keepalive_timeout(Some(KEEPALIVE_TIMEOUT))
@@ -95,11 +103,18 @@ async fn bind(address: SocketAddr) -> anyhow::Result<TcpListener> {
     TcpListener::bind(address).await.with_context(|| format!("cannot listen on {address}"))
 }
 
-/// There is neither transport security nor authorisation yet.
-fn warn_of_open_port(address: SocketAddr) {
+/// There is no authorisation yet.
+fn warn_of_open_port(address: SocketAddr, is_secure: bool) {
     if !address.ip().is_loopback() {
-        tracing::warn!(%address, "anyone who reaches this address can read, write and delete; put a proxy before it");
+        let security = if is_secure { "encrypted" } else { "without transport security" };
+        tracing::warn!(%address, security, "anyone who reaches this address can read, write and delete; put a proxy before it");
     }
+}
+
+fn tls(files: &TlsFiles) -> anyhow::Result<ServerTlsConfig> {
+    let read = |key: &str, path: &Path| std::fs::read(path).with_context(|| format!("cannot read {key} {}", path.display()));
+    let identity = Identity::from_pem(read("tls_certificate", &files.certificate)?, read("tls_private_key", &files.private_key)?);
+    Ok(ServerTlsConfig::new().identity(identity).timeout(HANDSHAKE_TIMEOUT))
 }
 
 fn routes(app: &Arc<App>, health: HealthServer<impl Health>) -> anyhow::Result<Routes> {

@@ -53,6 +53,8 @@ pub struct Stage {
     pub upload_bytes_per_frame: u64,
     /// Whether pages are brought before a moving viewer's frame wants them.
     pub looks_ahead: bool,
+    /// For those that are sent H.264.
+    pub video_places: Arc<Semaphore>,
     /// How long a session is kept while no stream of it is open.
     pub expiry: Duration,
     /// How long a viewer may leave a frame unread or unacknowledged.

@@ -51,7 +51,7 @@ fn main() {
         println!("{e}: CPU only");
         Renderer::cpu_only()
     });
-    println!("adapter: {}", renderer.adapter().unwrap_or("none"));
+    println!("adapter: {}", renderer.adapter().unwrap_or_else(|| "none".into()));
     if is_equal_error {
         return equal_error::report(&field, &pages, &renderer, [0.0, 0.4].map(|turn| orbit_at(center, radius, turn)));
     }

@@ -1,5 +1,6 @@
 //! Opening the adapter.
 
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use super::GpuError;
@@ -13,6 +14,7 @@ pub struct Gpu {
     driver: String,
     // First failure that no call has reported yet.
     failure: Arc<Mutex<Option<String>>>,
+    is_lost: Arc<AtomicBool>,
 }
 
 impl Gpu {
@@ -30,10 +32,15 @@ impl Gpu {
         let failure = Arc::new(Mutex::new(None));
         let (errors, losses) = (failure.clone(), failure.clone());
         device.on_uncaptured_error(Arc::new(move |e: wgpu::Error| note(&errors, e.to_string())));
-        device.set_device_lost_callback(move |reason, message| note(&losses, format!("device lost ({reason:?}): {message}")));
+        let is_lost = Arc::new(AtomicBool::new(false));
+        let lost = is_lost.clone();
+        device.set_device_lost_callback(move |reason, message| {
+            lost.store(true, Ordering::SeqCst);
+            note(&losses, format!("device lost ({reason:?}): {message}"));
+        });
         let info = adapter.get_info();
         let driver = format!("{} {}, {:?}", info.driver, info.driver_info, info.backend);
-        Ok(Self { device, queue, adapter: info.name, driver, failure })
+        Ok(Self { device, queue, adapter: info.name, driver, failure, is_lost })
     }
 
     /// The adapter's name, as its driver gives it.
@@ -44,6 +51,19 @@ impl Gpu {
     /// The driver's name and version, and the interface it is used through.
     pub fn driver(&self) -> &str {
         &self.driver
+    }
+
+    /// Whether nothing will ever be computed on it again.
+    pub fn is_lost(&self) -> bool {
+        self.is_lost.load(Ordering::SeqCst)
+    }
+
+    /// As when the adapter is taken away.
+    #[doc(hidden)]
+    pub fn lose(&self) {
+        self.device.destroy();
+        // The loss is told while the device is polled.
+        let _ = self.device.poll(wgpu::PollType::Poll);
     }
 
     pub(crate) fn device(&self) -> &wgpu::Device {

@@ -17,6 +17,11 @@ impl JpegQuality {
     pub fn new(quality: u8) -> Option<Self> {
         (1..=100).contains(&quality).then_some(Self(quality))
     }
+
+    /// 1 to 100.
+    pub fn value(self) -> u8 {
+        self.0
+    }
 }
 
 /// Bytes of a baseline JPEG file.

@@ -168,6 +168,12 @@ impl GpuTier {
         self.accounts.values_mut().zip(held).for_each(|(account, held)| account.peak_bytes = held);
     }
 
+    /// All of it is gone with the device.
+    pub fn lose_all(&mut self) {
+        while self.give_up_oldest() {}
+        self.refused.clear();
+    }
+
     // False when there is none.
     fn give_up_oldest(&mut self) -> bool {
         let Some(Resident { version_slot, kernel, .. }) = self.residents.pop_front() else { return false };

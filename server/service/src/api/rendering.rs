@@ -12,7 +12,7 @@ use crate::frames::{Caller, FrameOrder};
 use crate::render_queue::Priority;
 use crate::wire::frames::{FrameIdentity, frame};
 use crate::wire::proto::{self, rendering_server::Rendering};
-use crate::wire::settings::{check_kind, output, render_settings};
+use crate::wire::settings::{Delivery, check_kind, output, render_settings};
 use crate::wire::{self, camera::camera};
 
 #[tonic::async_trait]
@@ -63,13 +63,13 @@ async fn render(app: &App, m: proto::RenderFrameRequest, deadline: Option<tokio:
     let dataset = wire::dataset_name(&m.dataset, "dataset")?;
     let camera = camera(m.camera, app.config.max_pixels_per_frame, "camera")?;
     let settings = render_settings(m.settings, "settings")?;
-    let output = output(m.output, "output")?;
+    let output = output(m.output, Delivery::Alone, "output")?;
     let (catalog, begun) = (app.catalog.clone(), Instant::now());
     let version = blocking(move || catalog.open_version(&dataset, m.version)).await?;
     check_kind(&settings.settings, version.representation.kind().name())?;
     let opening_micros = begun.elapsed().as_micros() as u64;
     let (version_shown, refine, passes) = (version.clone(), Refine::Whole, settings.passes);
-    let order = FrameOrder { version: version_shown, camera, settings, output, opening_micros, refine, passes };
+    let order = FrameOrder { version: version_shown, camera, settings, output, opening_micros, refine, passes, video: None };
     let encoded = app.frames.encoded(order, Caller { who: Priority::Viewer, deadline }).await?;
     let (dataset, dataset_version) = (version.dataset.clone(), version.version);
     Ok(frame(encoded, FrameIdentity { frame_id: app.next_frame_id(), pose_id: m.pose_id, dataset, dataset_version }))

@@ -32,6 +32,16 @@ const FEATURES: [&str; 18] = [
     "upload.resumable",
 ];
 
+/// Sorted, too.
+fn features() -> Vec<String> {
+    let mut features: Vec<String> = FEATURES.iter().map(|f| f.to_string()).collect();
+    if cfg!(feature = "h264") {
+        features.push("encoding.h264".into());
+    }
+    features.sort();
+    features
+}
+
 /// What `MeasureLink` answers with: nothing on the way makes it shorter.
 static NOISE: LazyLock<Bytes> = LazyLock::new(|| {
     let mut noise = vec![0; MAX_LINK_PAYLOAD_BYTES];
@@ -42,11 +52,7 @@ static NOISE: LazyLock<Bytes> = LazyLock::new(|| {
 #[tonic::async_trait]
 impl System for Api {
     async fn get_version(&self, _: Request<proto::GetVersionRequest>) -> Result<Response<proto::GetVersionResponse>, Status> {
-        Ok(Response::new(proto::GetVersionResponse {
-            version: env!("CARGO_PKG_VERSION").into(),
-            api: API.into(),
-            features: FEATURES.iter().map(|f| f.to_string()).collect(),
-        }))
+        Ok(Response::new(proto::GetVersionResponse { version: env!("CARGO_PKG_VERSION").into(), api: API.into(), features: features() }))
     }
 
     async fn get_server_info(&self, _: Request<proto::GetServerInfoRequest>) -> Result<Response<proto::GetServerInfoResponse>, Status> {

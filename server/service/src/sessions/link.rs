@@ -21,6 +21,15 @@ const WAIT: f32 = 0.5;
 /// which is how late it is heard of.
 const GAIN: f32 = 1.0 / 16.0;
 
+/// What makes a frame large or small on its way.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Size {
+    /// Of the full size's pixels.
+    pub share: f32,
+    /// Of its encoding, where it has one.
+    pub quality: Option<u8>,
+}
+
 /// The way to one viewer.
 #[derive(Debug)]
 pub struct Link {
@@ -43,7 +52,7 @@ pub struct Link {
 #[derive(Debug)]
 struct Sent {
     frame_id: u64,
-    share: f32,
+    size: Option<Size>,
     at: Instant,
     /// Whether another was on its way before it.
     is_behind: bool,
@@ -80,19 +89,20 @@ impl Link {
         self.last_acknowledged.map(|at| at + Duration::from_secs_f32(part * self.spacing))
     }
 
-    /// A frame with this share of the full size's pixels goes.
-    pub fn sent(&mut self, frame_id: u64, share: f32, at: Instant) {
+    /// A frame of this size goes; None where it is in another encoding than those of a moving viewer.
+    pub fn sent(&mut self, frame_id: u64, size: Option<Size>, at: Instant) {
         let is_behind = !self.on_their_way.is_empty();
         self.is_draining &= is_behind;
-        self.on_their_way.push_back(Sent { frame_id, share, at, is_behind });
+        self.on_their_way.push_back(Sent { frame_id, size, at, is_behind });
     }
 
-    /// This frame and all before it have arrived: the sum of their shares, and the seconds that the link was theirs. None if nothing new.
-    pub fn acknowledged(&mut self, frame_id: u64, at: Instant) -> Option<(f32, f32)> {
+    /// This frame and all before it have arrived: the sum of their shares with the last one's quality, and the seconds that the link was
+    /// theirs. None if nothing new, or nothing that says what others will take.
+    pub fn acknowledged(&mut self, frame_id: u64, at: Instant) -> Option<(Size, f32)> {
         let (mut share, mut first, mut last) = (0.0, None, None);
         let mut frames = 0.0;
         while let Some(sent) = self.on_their_way.pop_front_if(|sent| sent.frame_id <= frame_id) {
-            share += sent.share;
+            share += sent.size.map_or(f32::NAN, |size| size.share);
             frames += 1.0;
             first.get_or_insert(sent.at);
             last = Some(sent);
@@ -106,7 +116,8 @@ impl Link {
         // A link that is kept full on purpose hides half of a frame's time from the other rule.
         let is_full = self.window < self.credits as f32 && last.is_behind;
         let begun = (first + base).max(before);
-        Some((share, if is_full { spacing } else { at.saturating_duration_since(begun).as_secs_f32() }))
+        let size = last.size.filter(|_| !share.is_nan()).map(|size| Size { share, ..size })?;
+        Some((size, if is_full { spacing } else { at.saturating_duration_since(begun).as_secs_f32() }))
     }
 
     /// `wait`: of a frame behind others, seconds.
@@ -138,6 +149,10 @@ mod tests {
         Duration::from_millis(n)
     }
 
+    fn of(share: f32) -> Size {
+        Size { share, quality: Some(90) }
+    }
+
     /// A link of `rtt`, which sends a full frame in `full`.
     struct Way {
         rtt: Duration,
@@ -167,7 +182,7 @@ mod tests {
                 let acknowledged = acks.front().map(|(_, at)| *at);
                 if (acks.len() as u64) < places && held <= now {
                     frame_id += 1;
-                    link.sent(frame_id, share, now);
+                    link.sent(frame_id, Some(of(share)), now);
                     seen.waits.push(free.saturating_duration_since(now).as_secs_f32() / own.as_secs_f32());
                     free = free.max(now) + own;
                     acks.push_back((frame_id, free + self.rtt));
@@ -177,7 +192,7 @@ mod tests {
                     let (acknowledged, at) = acks.pop_front().unwrap();
                     now = at;
                     let (got, seconds) = link.acknowledged(acknowledged, at).unwrap();
-                    assert_eq!(got, share);
+                    assert_eq!(got, of(share));
                     seen.took.push(seconds);
                 }
             }
@@ -232,23 +247,34 @@ mod tests {
     fn a_small_frame_behind_a_large_one_is_not_blamed_for_it() {
         let start = Instant::now();
         let mut link = Link::new(16);
-        link.sent(1, 0.1, start);
-        assert_eq!(link.acknowledged(1, start + millis(20)), Some((0.1, 0.0)));
-        link.sent(2, 1.0, start + millis(100));
-        link.sent(3, 0.1, start + millis(101));
-        assert_eq!(link.acknowledged(2, start + millis(600)), Some((1.0, 0.48)));
+        link.sent(1, Some(of(0.1)), start);
+        assert_eq!(link.acknowledged(1, start + millis(20)), Some((of(0.1), 0.0)));
+        link.sent(2, Some(of(1.0)), start + millis(100));
+        link.sent(3, Some(of(0.1)), start + millis(101));
+        assert_eq!(link.acknowledged(2, start + millis(600)), Some((of(1.0), 0.48)));
         let (share, seconds) = link.acknowledged(3, start + millis(610)).unwrap();
-        assert!(share == 0.1 && (seconds - 0.01).abs() < 1e-6, "{seconds}");
+        assert!(share == of(0.1) && (seconds - 0.01).abs() < 1e-6, "{seconds}");
     }
 
     #[test]
     fn one_acknowledgement_for_several_frames_is_all_of_theirs_and_a_second_one_says_nothing() {
         let start = Instant::now();
         let mut link = Link::new(16);
-        (1..=3).for_each(|id| link.sent(id, 0.5, start));
+        (1..=3).for_each(|id| link.sent(id, Some(of(0.5)), start));
         let (share, _) = link.acknowledged(3, start + millis(30)).unwrap();
-        assert_eq!(share, 1.5);
+        assert_eq!(share, of(1.5));
         assert_eq!((link.acknowledged(3, start + millis(40)), link.acknowledged(2, start + millis(40))), (None, None));
+    }
+
+    #[test]
+    fn a_still_in_another_encoding_says_nothing_of_frames_in_motion() {
+        let start = Instant::now();
+        let mut link = Link::new(16);
+        link.sent(1, Some(of(0.1)), start);
+        link.sent(2, None, start);
+        assert_eq!(link.acknowledged(2, start + millis(900)), None);
+        link.sent(3, Some(of(0.1)), start + millis(1000));
+        assert_eq!(link.acknowledged(3, start + millis(1900)), Some((of(0.1), 0.0)));
     }
 
     #[test]
@@ -257,7 +283,7 @@ mod tests {
         for frame_id in 1..=u64::from(3 * WINDOW) {
             let at = start + millis(1000 * frame_id);
             let rtt = if frame_id <= u64::from(WINDOW) / 2 { millis(10) } else { millis(90) };
-            link.sent(frame_id, 1.0, at);
+            link.sent(frame_id, Some(of(1.0)), at);
             last = link.acknowledged(frame_id, at + rtt).unwrap().1;
         }
         assert_eq!(last, 0.0);

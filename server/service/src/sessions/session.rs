@@ -16,7 +16,7 @@ use tokio::sync::{OwnedSemaphorePermit, watch};
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 
-use super::link::Link;
+use super::link::{Link, Size};
 use super::pace::{Pace, Took, share, smaller};
 use super::wish::{Change, Sequences, Wish};
 use super::{Outbox, OutboxPlace, Stage, response, status};
@@ -24,17 +24,20 @@ use crate::api::blocking;
 use crate::catalog::OpenedVersion;
 use crate::config::BackendChoice;
 use crate::errors::{ApiError, Reason};
-use crate::frames::FrameOrder;
+use crate::frames::VideoStream;
 use crate::prefetch::{Expected, Motion};
 use crate::render_queue::Priority;
 use crate::still::Still;
+use crate::video::Video;
 use crate::wire::frames::FrameIdentity;
-use crate::wire::settings::{check_kind, output, render_settings};
+use crate::wire::settings::{Delivery, Encoding, Output, check_kind, encoding_number, output, render_settings};
 use crate::wire::{self, proto};
 use proto::interact_response::Message as Down;
 
 const DEFAULT_CREDITS: u32 = 2;
 const MAX_CREDITS: u32 = 16;
+/// Longer and shorter side of a frame of H.264: larger ones are beyond the encoder.
+const MAX_VIDEO_SIDES_PX: (u32, u32) = (3840, 2160);
 /// A wish that found the render queue full tries again after this time.
 const QUEUE_RETRY: Duration = Duration::from_millis(20);
 /// Frames per second that a moving viewer may ask for.
@@ -55,9 +58,17 @@ pub struct Session {
     sent: AtomicU64,
     /// How the frames come to the viewer.
     link: Mutex<Link>,
+    /// Of a viewer that was ever sent H.264.
+    video: Arc<Mutex<Option<Seat>>>,
     /// None for a viewer that is always shown the full size.
     moving: Option<Arc<Moving>>,
     _room: OwnedSemaphorePermit,
+}
+
+/// One of few.
+struct Seat {
+    video: VideoStream,
+    _place: OwnedSemaphorePermit,
 }
 
 /// Of a viewer that asked for a rate while it moves.
@@ -88,6 +99,8 @@ struct Turn {
     full: Camera,
     /// The same or a smaller one.
     drawn: Camera,
+    /// Whether it was drawn as for a viewer at rest, who has one always.
+    is_at_rest: bool,
 }
 
 /// A frame of a turn.
@@ -95,8 +108,12 @@ struct Rendered {
     frame: proto::Frame,
     /// Whether nothing stood in for missing pages.
     all_pages: bool,
+    /// Whether nothing but pages and passes is missing of what a viewer at rest would be shown.
+    is_full: bool,
     /// To be refined; None where that is of no use, or has to wait for room.
     still: Option<Still>,
+    /// None in another encoding than those of a moving viewer.
+    size: Option<Size>,
     turn: Turn,
 }
 
@@ -113,8 +130,8 @@ enum Means {
 struct Refined {
     /// None where the first pass still waits for pages.
     still: Option<Still>,
-    /// To be shown.
-    frame: Option<proto::Frame>,
+    /// To be shown; and its size as a [`Rendered`] one's.
+    frame: Option<(proto::Frame, Option<Size>)>,
 }
 
 /// Why nothing is shown any more.
@@ -142,7 +159,7 @@ impl Session {
     /// As the opening message says; it is checked in whole.
     pub async fn open(stage: Arc<Stage>, open: proto::OpenInteraction, room: OwnedSemaphorePermit) -> Result<Self, ApiError> {
         let settings = render_settings(open.settings, "open.settings")?;
-        let output = output(open.output, "open.output")?;
+        let output = output(open.output, Delivery::Stream, "open.output")?;
         let credits = wire::count(open.credits, DEFAULT_CREDITS, 1, MAX_CREDITS, "open.credits")?;
         let moving = Moving::at(open.moving_frames_per_second, "open.moving_frames_per_second")?;
         let dataset = wire::dataset_name(&open.dataset, "open.dataset")?;
@@ -153,7 +170,10 @@ impl Session {
         let wish = Wish { pose: None, settings, output, sequences, revision: 0, changed: Instant::now(), poses: 0, acknowledged: 0 };
         let wish = watch::Sender::new(wish);
         let link = Mutex::new(Link::new(credits));
-        Ok(Self { stage, version, credits, wish, sent: AtomicU64::new(0), link, moving, _room: room })
+        let (sent, video) = (AtomicU64::new(0), Arc::default());
+        let session = Self { stage, version, credits, wish, sent, link, video, moving, _room: room };
+        session.check_video(&output, None)?;
+        Ok(session)
     }
 
     /// What was opened. `expiry`: without a stream; zero for a session that ends with its stream.
@@ -172,10 +192,10 @@ impl Session {
         let change = self.check(update)?;
         let overtaken = change.pose.is_some_and(|_| change.sequence < self.wish.borrow().sequences.pose);
         self.stage.metrics.poses_overtaken.inc_by(overtaken.into());
-        if let Some((share, seconds)) = self.link().acknowledged(change.acknowledged, Instant::now().into_std())
+        if let Some((size, seconds)) = self.link().acknowledged(change.acknowledged, Instant::now().into_std())
             && let Some(moving) = &self.moving
         {
-            moving.pace().arrived(share, seconds);
+            moving.pace().arrived(size.share, size.quality, seconds);
         }
         self.wish.send_modify(|wish| wish.apply(change));
         Ok(())
@@ -190,7 +210,7 @@ impl Session {
         let pose = pose.map(camera).transpose()?;
         let proto::SettingsUpdate { settings, output: output_settings } = settings.unwrap_or_default();
         let settings = settings.map(|s| render_settings(Some(s), "settings.settings")).transpose()?;
-        let output = output_settings.map(|o| output(Some(o), "settings.output")).transpose()?;
+        let output = output_settings.map(|o| output(Some(o), Delivery::Stream, "settings.output")).transpose()?;
         if let Some(settings) = &settings {
             check_kind(&settings.settings, self.version.representation.kind().name())?;
         }
@@ -199,7 +219,40 @@ impl Session {
         if acknowledged > sent {
             return Err(ApiError::field("acknowledge.frame_id", format!("{acknowledged}, but only {sent} frames were sent")));
         }
+        let (output_then, camera_then) = {
+            let wish = self.wish.borrow();
+            (output.unwrap_or(wish.output), pose.or(wish.pose).map(|(_, camera)| camera))
+        };
+        self.check_video(&output_then, camera_then)?;
         Ok(Change { sequence, pose, settings, output, acknowledged })
+    }
+
+    /// Takes a seat for whoever wants H.264 and has none.
+    fn check_video(&self, output: &Output, camera: Option<Camera>) -> Result<(), ApiError> {
+        let is_video = |encoding: Encoding| matches!(encoding, Encoding::H264 { .. });
+        if !is_video(output.encoding) && !output.encoding_at_rest.is_some_and(is_video) {
+            return Ok(());
+        }
+        if let Some(intrinsics) = camera.as_ref().map(Camera::intrinsics) {
+            let (width, height) = (intrinsics.width_px, intrinsics.height_px);
+            let (long, short) = MAX_VIDEO_SIDES_PX;
+            if width.max(height) > long || width.min(height) > short {
+                let problem = format!("{width} x {height} pixels, as H264 at most {long} x {short} (or on end) expected");
+                return Err(ApiError::field("pose.camera.intrinsics", problem));
+            }
+        }
+        let mut seat = self.video.lock().unwrap_or_else(PoisonError::into_inner);
+        if seat.is_none() {
+            let place = self.stage.video_places.clone().try_acquire_owned();
+            let _place =
+                place.map_err(|_| ApiError::new(Reason::TooManySessions, "no more viewers are sent H264; ask for another encoding"))?;
+            *seat = Video::new().map(|video| Seat { video: Arc::new(Mutex::new(video)), _place });
+        }
+        Ok(())
+    }
+
+    fn video(&self) -> Option<VideoStream> {
+        video_of(&self.video)
     }
 
     /// For a new stream: what was on its way in the old one has arrived or never will.
@@ -207,6 +260,9 @@ impl Session {
         let sent = self.sent.load(Ordering::SeqCst);
         self.wish.send_modify(|wish| wish.acknowledged = sent);
         self.link().forget();
+        if let Some(video) = self.video() {
+            video.lock().unwrap_or_else(PoisonError::into_inner).begin_anew();
+        }
         if let Some(moving) = &self.moving {
             moving.pace().forget_link();
         }
@@ -285,8 +341,8 @@ impl Session {
                     Some(Ok(refined)) => {
                         let is_last = refined.still.as_ref().is_some_and(Still::is_done);
                         (still, owed) = if is_last { (None, Owed::Nothing) } else { (refined.still, owed) };
-                        if let Some(frame) = refined.frame {
-                            sent_at = self.send(slot, frame, 1.0);
+                        if let Some((frame, size)) = refined.frame {
+                            sent_at = self.send(slot, frame, size);
                         }
                     }
                     Some(Err(error)) => {
@@ -321,9 +377,9 @@ impl Session {
                 rendered = self.render(&asked, who, sent + 1, begun.clone()) => rendered,
             };
             let turn = match rendered {
-                Ok(Rendered { mut frame, all_pages, still: begun, turn }) => {
+                Ok(Rendered { mut frame, all_pages, is_full, still: begun, size, turn }) => {
                     let settled = turn.wish.changed + self.moving.as_ref().map_or(SETTLING, |moving| moving.settling);
-                    owed = match (turn.drawn == turn.full, all_pages, &self.moving) {
+                    owed = match (is_full, all_pages, &self.moving) {
                         (true, true, _) if turn.wish.settings.passes > 1 => Owed::Passes(settled),
                         (true, true, _) => Owed::Nothing,
                         (false, _, Some(_)) => Owed::FullSize(settled),
@@ -331,11 +387,10 @@ impl Session {
                     };
                     frame.is_final = owed == Owed::Nothing;
                     still = begun;
-                    let share = share(&turn.drawn, &turn.full);
-                    self.measure(&frame, share, who);
+                    self.measure(&frame, share(&turn.drawn, &turn.full), who);
                     let is_held_back = last.is_cancelled() && matches!(owed, Owed::Passes(_));
                     if !is_held_back {
-                        sent_at = self.send(slot, frame, share);
+                        sent_at = self.send(slot, frame, size);
                     }
                     turn
                 }
@@ -362,10 +417,13 @@ impl Session {
         }
     }
 
-    /// Puts a frame, of this share of the full size's pixels, into its place in the outbox; when.
-    fn send(&self, slot: OutboxPlace<'_>, frame: proto::Frame, share: f32) -> Instant {
+    /// Puts a frame of this size into its place in the outbox; when.
+    fn send(&self, slot: OutboxPlace<'_>, frame: proto::Frame, size: Option<Size>) -> Instant {
         let now = Instant::now();
-        self.link().sent(frame.frame_id, share, now.into_std());
+        if let Some(video) = self.video().filter(|_| frame.encoding() == proto::Encoding::H264) {
+            video.lock().unwrap_or_else(PoisonError::into_inner).sent();
+        }
+        self.link().sent(frame.frame_id, size, now.into_std());
         // Before it can be acknowledged.
         self.sent.store(frame.frame_id, Ordering::SeqCst);
         slot.send(Ok(response(Down::Frame(frame))));
@@ -435,38 +493,44 @@ impl Session {
     /// `begun` is cancelled then.
     async fn render(&self, asked: &Wish, who: Priority, frame_id: u64, begun: CancellationToken) -> Result<Rendered, ApiError> {
         let (version, moving, upload_bytes) = (self.version.clone(), self.moving.clone(), self.stage.upload_bytes_per_frame);
-        let (wishes, asked) = (self.wish.subscribe(), asked.clone());
+        let (wishes, asked, video) = (self.wish.subscribe(), asked.clone(), self.video.clone());
         let order = move || {
             begun.cancel();
             let latest = wishes.borrow().clone();
             let rests = who == Priority::Still && latest.revision == asked.revision;
-            let begins_still = rests || moving.is_none();
-            let turn = Turn::of(latest, moving.as_deref().filter(|_| !rests));
+            let moving = moving.as_deref().filter(|_| !rests);
+            let turn = Turn::of(latest, moving);
             let turn = turn.expect("a wish that is asked for has a pose, and keeps one");
-            let order = turn.wish.order(version, turn.drawn, upload_bytes);
-            let passes = if begins_still && turn.drawn == turn.full { order.passes } else { 1 };
-            (FrameOrder { passes, ..order }, turn)
+            let mut order = turn.wish.order(version, turn.drawn, video_of(&video), upload_bytes);
+            if let Some(moving) = moving {
+                (order.passes, order.output.encoding_at_rest) = (1, None);
+                let quality = moving.pace().quality(order.output.encoding.quality());
+                order.output.encoding = order.output.encoding.at_most(quality);
+            }
+            (order, turn)
         };
         let begun = Instant::now();
         let (frame, still, turn) = self.stage.frames.encoded_late(order, who).await?;
         let (pose_id, all_pages) = (turn.pose_id, frame.all_pages);
+        let (size, is_full) = (turn.size(frame.encoding), turn.is_full(frame.encoding));
         tracing::debug!(frame_id, pose_id, micros = begun.elapsed().as_micros() as u64, "frame");
-        Ok(Rendered { frame: wire::frames::frame(frame, self.identity(frame_id, pose_id)), all_pages, still, turn })
+        Ok(Rendered { frame: wire::frames::frame(frame, self.identity(frame_id, pose_id)), all_pages, is_full, still, size, turn })
     }
 
     /// One more pass of the wish that was shown, which still stands; its frame where it is one that is shown.
     async fn refine(&self, still: Option<Still>, asked: &Wish, frame_id: u64, shown_now: Means) -> Result<Refined, ApiError> {
         let (pose_id, camera) = asked.pose.expect("a wish that was shown has a pose");
         let before = still.as_ref().map_or(0, Still::passes);
-        let order = asked.order(self.version.clone(), camera, self.stage.upload_bytes_per_frame);
+        let order = asked.order(self.version.clone(), camera, self.video(), self.stage.upload_bytes_per_frame);
         let still = self.stage.frames.refined(still, order).await?;
         let is_shown = |passes: u32| passes > before.max(1) && passes.is_power_of_two() && shown_now == Means::Doubled;
         match still {
             Some(still) if still.is_done() || is_shown(still.passes()) => {
                 let (frame, still) = self.stage.frames.encoded_still(still).await?;
                 tracing::debug!(frame_id, pose_id, passes = still.passes(), "frame refined");
+                let size = size_of(frame.encoding, asked.output.encoding, 1.0);
                 let frame = wire::frames::frame(frame, self.identity(frame_id, pose_id));
-                Ok(Refined { still: Some(still), frame: Some(frame) })
+                Ok(Refined { still: Some(still), frame: Some((frame, size)) })
             }
             still => Ok(Refined { still, frame: None }),
         }
@@ -482,8 +546,29 @@ impl Turn {
     fn of(wish: Wish, moving: Option<&Moving>) -> Option<Self> {
         let (pose_id, full) = wish.pose?;
         let drawn = moving.map_or(full, |m| smaller(&full, m.pace().rung()));
-        Some(Self { wish, pose_id, full, drawn })
+        Some(Self { wish, pose_id, full, drawn, is_at_rest: moving.is_none() })
     }
+
+    /// Whether its frame in that encoding is what a viewer at rest would be shown, as far as one pass goes.
+    fn is_full(&self, encoding: Encoding) -> bool {
+        let at_rest = self.wish.output.encoding_at_rest.unwrap_or(self.wish.output.encoding);
+        self.drawn == self.full && (self.is_at_rest || encoding == at_rest)
+    }
+
+    /// Of its frame in that encoding.
+    fn size(&self, encoding: Encoding) -> Option<Size> {
+        size_of(encoding, self.wish.output.encoding, share(&self.drawn, &self.full))
+    }
+}
+
+/// Who wishes H.264 has had a seat since before the wish.
+fn video_of(seat: &Mutex<Option<Seat>>) -> Option<VideoStream> {
+    seat.lock().unwrap_or_else(PoisonError::into_inner).as_ref().map(|seat| seat.video.clone())
+}
+
+/// Of a frame in this encoding; None where those of a moving viewer are in another one.
+fn size_of(encoding: Encoding, moving: Encoding, share: f32) -> Option<Size> {
+    (encoding_number(encoding) == encoding_number(moving)).then(|| Size { share, quality: encoding.quality() })
 }
 
 impl Moving {

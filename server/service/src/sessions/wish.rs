@@ -7,7 +7,7 @@ use lumisphere::render::Refine;
 use tokio::time::Instant;
 
 use crate::catalog::OpenedVersion;
-use crate::frames::FrameOrder;
+use crate::frames::{FrameOrder, VideoStream};
 use crate::wire::settings::{Output, RenderSettings};
 
 /// What the viewer wants to see, as of the last message.
@@ -46,9 +46,9 @@ pub(super) struct Change {
 
 impl Wish {
     /// It, drawn by this camera, which may be smaller than the pose's.
-    pub fn order(&self, version: Arc<OpenedVersion>, camera: Camera, upload_bytes: u64) -> FrameOrder {
+    pub fn order(&self, version: Arc<OpenedVersion>, camera: Camera, video: Option<VideoStream>, upload_bytes: u64) -> FrameOrder {
         let (settings, output, refine) = (self.settings, self.output, Refine::UpTo { upload_bytes });
-        FrameOrder { version, camera, settings, output, opening_micros: 0, refine, passes: settings.passes }
+        FrameOrder { version, camera, settings, output, opening_micros: 0, refine, passes: settings.passes, video }
     }
 
     /// What a later update has not overtaken.

@@ -36,6 +36,8 @@ pub struct EncodedFrame {
     pub all_pages: bool,
     /// That the colour is the mean of.
     pub passes_done: u32,
+    /// Whether the colour can be decoded without the frames before.
+    pub is_key: bool,
 }
 
 /// What a frame answers.
@@ -155,5 +157,6 @@ pub fn frame(frame: EncodedFrame, identity: FrameIdentity) -> proto::Frame {
         adapter: frame.adapter.unwrap_or_default(),
         is_final: frame.is_final,
         passes_done: frame.passes_done,
+        is_key: frame.is_key,
     }
 }

@@ -14,7 +14,7 @@ use prost::Message;
 
 use super::camera::vec3;
 use super::scenes::{SceneSource, scene_source, uploaded_files};
-use super::settings::{Output, RenderSettings, output, render_settings};
+use super::settings::{Delivery, Output, RenderSettings, output, render_settings};
 use super::{camera, count, dataset_name, positive, proto, required, timestamp, within};
 use crate::errors::ApiError;
 use crate::jobs::{FitSoFar, JobView, Outcome, PARTIAL, State};
@@ -580,7 +580,7 @@ fn path_render(m: proto::PathRenderSpec, limits: &SpecLimits, field: &str) -> Re
         version: m.version,
         views,
         settings: render_settings(m.settings, &at("settings"))?,
-        output: output(m.output, &at("output"))?,
+        output: output(m.output, Delivery::Alone, &at("output"))?,
     })
 }
 

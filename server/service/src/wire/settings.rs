@@ -38,6 +38,8 @@ pub struct RenderSettings {
 pub struct Output {
     /// Of the colour.
     pub encoding: Encoding,
+    /// Of the last frame of a pose at which a viewer rests; None: the same.
+    pub encoding_at_rest: Option<Encoding>,
     /// Return distances.
     pub depth: Option<DepthPlane>,
     /// Return where each pixel comes from.
@@ -63,6 +65,42 @@ pub enum Encoding {
     },
     /// f32 R G B.
     Exr,
+    /// 8-bit sRGB, as it differs from the frame before.
+    H264 {
+        /// 1 to 100, as JPEG's.
+        quality: JpegQuality,
+        /// From radiance to the screen.
+        tone_map: ToneMap,
+    },
+}
+
+/// What frames are ordered for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Delivery {
+    /// One at a time.
+    Alone,
+    /// One after the other to one viewer, who is given all of them.
+    Stream,
+}
+
+impl Encoding {
+    /// 1 to 100, where there is one.
+    pub fn quality(self) -> Option<u8> {
+        match self {
+            Self::Jpeg { quality, .. } | Self::H264 { quality, .. } => Some(quality.value()),
+            Self::RawZstd | Self::Png { .. } | Self::Exr => None,
+        }
+    }
+
+    /// With this quality at most.
+    #[must_use]
+    pub fn at_most(self, most: Option<u8>) -> Self {
+        match (self, most.and_then(JpegQuality::new)) {
+            (Self::Jpeg { quality, tone_map }, Some(most)) if most.value() < quality.value() => Self::Jpeg { quality: most, tone_map },
+            (Self::H264 { quality, tone_map }, Some(most)) if most.value() < quality.value() => Self::H264 { quality: most, tone_map },
+            (same, _) => same,
+        }
+    }
 }
 
 /// Checked settings; `field` is their path.
@@ -196,7 +234,7 @@ fn blend(value: i32, exponent: f32, field: &str) -> Result<oslf::Blend, ApiError
 }
 
 /// Checked output; `field` is its path.
-pub fn output(message: Option<proto::OutputSettings>, field: &str) -> Result<Output, ApiError> {
+pub fn output(message: Option<proto::OutputSettings>, delivery: Delivery, field: &str) -> Result<Output, ApiError> {
     let message = required(message, field)?;
     let tone_map = tone_map(&message, field)?;
     let quality = match message.jpeg_quality {
@@ -206,17 +244,29 @@ pub fn output(message: Option<proto::OutputSettings>, field: &str) -> Result<Out
     let quality = quality.and_then(JpegQuality::new);
     let quality =
         quality.ok_or_else(|| ApiError::field(format!("{field}.jpeg_quality"), format!("{}, 1 to 100 expected", message.jpeg_quality)))?;
-    let encoding = match proto::Encoding::try_from(message.encoding) {
-        Ok(proto::Encoding::RawZstd) => Encoding::RawZstd,
-        Ok(proto::Encoding::Png) => Encoding::Png { tone_map },
-        Ok(proto::Encoding::Jpeg) => Encoding::Jpeg { quality, tone_map },
-        Ok(proto::Encoding::Exr) => Encoding::Exr,
+    let named = |number: i32, name: &str| match proto::Encoding::try_from(number) {
+        Ok(proto::Encoding::RawZstd) => Ok(Encoding::RawZstd),
+        Ok(proto::Encoding::Png) => Ok(Encoding::Png { tone_map }),
+        Ok(proto::Encoding::Jpeg) => Ok(Encoding::Jpeg { quality, tone_map }),
+        Ok(proto::Encoding::Exr) => Ok(Encoding::Exr),
+        Ok(proto::Encoding::H264) if !cfg!(feature = "h264") => {
+            Err(ApiError::field(format!("{field}.{name}"), "H264, which this server is built without"))
+        }
+        Ok(proto::Encoding::H264) if delivery == Delivery::Alone => {
+            Err(ApiError::field(format!("{field}.{name}"), "H264 is for the streams of Interact and sessions"))
+        }
+        Ok(proto::Encoding::H264) => Ok(Encoding::H264 { quality, tone_map }),
         Ok(proto::Encoding::Unspecified) | Err(_) => {
-            return Err(ApiError::field(format!("{field}.encoding"), format!("{}, RAW_ZSTD, PNG, JPEG or EXR expected", message.encoding)));
+            Err(ApiError::field(format!("{field}.{name}"), format!("{number}, RAW_ZSTD, PNG, JPEG, EXR or H264 expected")))
         }
     };
+    let encoding = named(message.encoding, "encoding")?;
+    let encoding_at_rest = match message.encoding_at_rest {
+        0 => None,
+        number => Some(named(number, "encoding_at_rest")?),
+    };
     let plane = depth_plane(&message, field)?;
-    Ok(Output { encoding, depth: message.want_depth.then_some(plane), provenance: message.want_provenance })
+    Ok(Output { encoding, encoding_at_rest, depth: message.want_depth.then_some(plane), provenance: message.want_provenance })
 }
 
 /// Wrong ones are refused even where no depth is wanted.
@@ -254,6 +304,7 @@ pub fn encoding_number(encoding: Encoding) -> i32 {
         Encoding::Png { .. } => proto::Encoding::Png,
         Encoding::Jpeg { .. } => proto::Encoding::Jpeg,
         Encoding::Exr => proto::Encoding::Exr,
+        Encoding::H264 { .. } => proto::Encoding::H264,
     }) as i32
 }
 
@@ -327,18 +378,33 @@ mod tests {
     #[test]
     fn outputs_have_an_encoding_and_a_sensible_quality() {
         let with = |encoding, jpeg_quality, exposure_stops| {
-            output(Some(proto::OutputSettings { encoding, jpeg_quality, exposure_stops, ..Default::default() }), "o")
+            output(Some(proto::OutputSettings { encoding, jpeg_quality, exposure_stops, ..Default::default() }), Delivery::Stream, "o")
         };
         let twice = ToneMap::Clamp(Exposure::new(2.0).unwrap());
         assert!(matches!(with(3, 0, 1.0).unwrap().encoding, Encoding::Jpeg { tone_map, .. } if tone_map == twice));
         assert!(with(0, 0, 0.0).unwrap_err().to_string().starts_with("o.encoding: 0"));
-        assert!(with(5, 0, 0.0).unwrap_err().to_string().starts_with("o.encoding: 5"));
+        assert!(with(6, 0, 0.0).unwrap_err().to_string().starts_with("o.encoding: 6"));
         assert!(with(3, 101, 0.0).unwrap_err().to_string().starts_with("o.jpeg_quality: 101"));
         assert!(with(3, 300, 0.0).unwrap_err().to_string().starts_with("o.jpeg_quality: 300"));
         assert!(with(2, 0, f32::NAN).unwrap_err().to_string().starts_with("o.exposure_stops: NaN"));
+        let h264 = |delivery| output(Some(proto::OutputSettings { encoding: 5, ..Default::default() }), delivery, "o").map(|o| o.encoding);
+        match h264(Delivery::Stream) {
+            Ok(encoding) => {
+                assert!(cfg!(feature = "h264") && matches!(encoding, Encoding::H264 { .. }));
+                let error = h264(Delivery::Alone).unwrap_err().to_string();
+                assert_eq!(error, "o.encoding: H264 is for the streams of Interact and sessions");
+            }
+            Err(error) => assert_eq!(error.to_string(), "o.encoding: H264, which this server is built without"),
+        }
+        let at_rest = |encoding_at_rest| {
+            let message = proto::OutputSettings { encoding: 3, encoding_at_rest, ..Default::default() };
+            output(Some(message), Delivery::Stream, "o").map(|o| o.encoding_at_rest)
+        };
+        assert_eq!((at_rest(0).unwrap(), at_rest(1).unwrap()), (None, Some(Encoding::RawZstd)));
+        assert_eq!(at_rest(9).unwrap_err().to_string(), "o.encoding_at_rest: 9, RAW_ZSTD, PNG, JPEG, EXR or H264 expected");
         let depth = |want_depth, depth_format, depth_step| {
             let message = proto::OutputSettings { encoding: 2, want_depth, depth_format, depth_step, ..Default::default() };
-            output(Some(message), "o").map(|o| o.depth)
+            output(Some(message), Delivery::Stream, "o").map(|o| o.depth)
         };
         assert_eq!(depth(false, 2, 4).unwrap(), None);
         assert_eq!(depth(true, 0, 0).unwrap(), Some(DepthPlane { format: DepthFormat::Float32, step: 1 }));
@@ -350,7 +416,7 @@ mod tests {
     #[test]
     fn a_gamma_compresses_instead_of_clipping_and_nonsense_is_refused() {
         let with = |exposure_gamma, exposure_stops| {
-            output(Some(proto::OutputSettings { encoding: 2, exposure_gamma, exposure_stops, ..Default::default() }), "o")
+            output(Some(proto::OutputSettings { encoding: 2, exposure_gamma, exposure_stops, ..Default::default() }), Delivery::Stream, "o")
         };
         let exponential = |factor| Encoding::Png { tone_map: ToneMap::Exponential(Exposure::new(factor).unwrap()) };
         assert_eq!(with(1.5, 2.0).unwrap().encoding, exponential(6.0));

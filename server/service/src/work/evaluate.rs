@@ -39,11 +39,13 @@ impl Work {
         };
         let mut blobs = Vec::new();
         let mut render = |camera: &Camera, setting: usize| {
-            let output = Output { encoding: Encoding::RawZstd, depth: None, provenance: false };
+            let output = Output { encoding: Encoding::RawZstd, encoding_at_rest: None, depth: None, provenance: false };
             let (version, settings, refine) = (version.clone(), spec.settings[setting], Refine::Whole);
             let passes = settings.passes;
-            let still =
-                self.still(FrameOrder { version, camera: *camera, settings, output, opening_micros: 0, refine, passes }, attempt)?;
+            let still = self.still(
+                FrameOrder { version, camera: *camera, settings, output, opening_micros: 0, refine, passes, video: None },
+                attempt,
+            )?;
             let color = color_image(&still);
             Ok::<_, ApiError>(RenderedView { color, millis: still.millis, backend: still.backend, device_bytes: still.device_bytes })
         };

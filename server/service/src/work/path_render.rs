@@ -25,7 +25,8 @@ impl Work {
             }
             let (settings, output, refine) = (spec.settings, spec.output, Refine::Whole);
             let passes = settings.passes;
-            let order = FrameOrder { version: version.clone(), camera: *camera, settings, output, opening_micros: 0, refine, passes };
+            let order =
+                FrameOrder { version: version.clone(), camera: *camera, settings, output, opening_micros: 0, refine, passes, video: None };
             let frame = self.encoded(self.still(order, attempt)?)?;
             micros.push(frame.timings.render_micros);
             blobs.push(self.keep(format!("frame-{i:05}.{extension}"), media_type, &frame.color)?);
@@ -54,6 +55,7 @@ fn file_type(encoding: Encoding) -> (&'static str, &'static str) {
         Encoding::RawZstd => ("raw.zst", "application/zstd"),
         Encoding::Png { .. } => ("png", "image/png"),
         Encoding::Jpeg { .. } => ("jpg", "image/jpeg"),
+        Encoding::H264 { .. } => unreachable!("refused for what is no stream"),
         Encoding::Exr => ("exr", "image/x-exr"),
     }
 }
