@@ -230,9 +230,10 @@ const FILTERS: Readonly<Record<string, Filter>> = { footprint: Filter.FOOTPRINT,
 const SHOWS: Readonly<Record<string, Show>> = { radiance: Show.RADIANCE, models: Show.MODELS, flags: Show.FLAGS };
 
 function renderSettings(kind: Kind, settings: Settings): RenderSettings {
+  const truth = settings.source === 'truth' && { groundTruth: { pathsPerPixel: 1, passes: settings.truthPasses } };
   if (kind === 'parameter_map') {
     const value = { show: SHOWS[settings.show] ?? Show.SHOW_UNSPECIFIED };
-    return create(RenderSettingsSchema, { representation: { case: 'parameterMap', value } });
+    return create(RenderSettingsSchema, { representation: { case: 'parameterMap', value }, ...truth });
   }
   const value = {
     component: COMPONENTS[settings.component] ?? Component.COMPONENT_UNSPECIFIED,
@@ -244,7 +245,7 @@ function renderSettings(kind: Kind, settings: Settings): RenderSettings {
       gloss: { brdf: settings.brdf, directions: settings.directions, passes: settings.passes },
     }),
   };
-  return create(RenderSettingsSchema, { representation: { case: 'offsetSurfaceLightField', value } });
+  return create(RenderSettingsSchema, { representation: { case: 'offsetSurfaceLightField', value }, ...truth });
 }
 
 function liveOutput(settings: Settings, delivery: Delivery): OutputSettings {
@@ -253,7 +254,7 @@ function liveOutput(settings: Settings, delivery: Delivery): OutputSettings {
     encoding: delivery.encoding === 'png' ? Encoding.PNG : Encoding.JPEG,
     jpegQuality: delivery.quality,
     wantDepth: delivery.warp === 'depth',
-    wantProvenance: settings.overlay !== 'none',
+    wantProvenance: settings.overlay !== 'none' && settings.source === 'stored',
   });
 }
 
