@@ -29,6 +29,22 @@ pub struct SettingsFlags {
     pub backend: Backend,
     #[command(flatten)]
     pub gloss: GlossFlags,
+    #[command(flatten)]
+    pub truth: TruthFlags,
+}
+
+/// What frames should look like.
+#[derive(Debug, Clone, Default, Args)]
+pub struct TruthFlags {
+    /// Show ground truth instead: path traced from the scene that the dataset was made from
+    #[arg(long)]
+    pub truth: bool,
+    /// Paths a pixel in each pass of --truth, 1 to 64 [default: 1]
+    #[arg(long, value_name = "N", default_value_t = 0, hide_default_value = true, requires = "truth")]
+    pub truth_paths: u32,
+    /// Passes that a frame of --truth is the mean of, 1 to 4096 [default: 64]
+    #[arg(long, value_name = "P", default_value_t = 0, hide_default_value = true, requires = "truth")]
+    pub truth_passes: u32,
 }
 
 /// What component glossy shows.
@@ -147,7 +163,15 @@ impl SettingsFlags {
     /// The wire's form, for a dataset of this kind.
     pub fn to_wire(&self, kind: &str) -> wire::RenderSettings {
         let default = if kind == "parameter_map" { Component::Radiance } else { Component::Reconstruction };
-        settings(self.component.unwrap_or(default), self.blend, self.specular, self.filter, self.backend, &self.gloss)
+        let stored = settings(self.component.unwrap_or(default), self.blend, self.specular, self.filter, self.backend, &self.gloss);
+        wire::RenderSettings { ground_truth: self.truth.to_wire(), ..stored }
+    }
+}
+
+impl TruthFlags {
+    /// None where what is stored is shown.
+    fn to_wire(&self) -> Option<wire::GroundTruth> {
+        self.truth.then_some(wire::GroundTruth { paths_per_pixel: self.truth_paths, passes: self.truth_passes })
     }
 }
 
@@ -177,7 +201,7 @@ pub fn settings(
     .into();
     let of_map = |show: Show| {
         let settings = wire::ParameterMapSettings { show: show.into() };
-        wire::RenderSettings { representation: Some(Representation::ParameterMap(settings)), backend }
+        wire::RenderSettings { representation: Some(Representation::ParameterMap(settings)), ground_truth: None, backend }
     };
     let component = match component {
         Component::Reconstruction => WireComponent::Reconstruction,
@@ -201,7 +225,7 @@ pub fn settings(
         filter: filter.into(),
         gloss: gloss.brdf.clone().map(|brdf| Gloss { brdf, directions: gloss.directions, passes: gloss.passes }),
     };
-    wire::RenderSettings { representation: Some(Representation::OffsetSurfaceLightField(settings)), backend }
+    wire::RenderSettings { representation: Some(Representation::OffsetSurfaceLightField(settings)), ground_truth: None, backend }
 }
 
 /// How frames are returned.

@@ -21,8 +21,9 @@ pub struct TargetFlags {
 
 /// What a chosen row says is not said by flags, too.
 pub fn alone_or_chosen(argument: clap::Arg) -> clap::Arg {
-    let is_of_row =
-        ["component", "blend", "specular", "filter", "backend", "brdf", "directions", "passes"].contains(&argument.get_id().as_str());
+    let of_row =
+        ["component", "blend", "specular", "filter", "backend", "brdf", "directions", "passes", "truth", "truth_paths", "truth_passes"];
+    let is_of_row = of_row.contains(&argument.get_id().as_str());
     if is_of_row { argument.conflicts_with("choose") } else { argument }
 }
 

@@ -99,7 +99,7 @@ fn mirror() -> wire::RenderSettings {
     };
     wire::RenderSettings {
         representation: Some(wire::render_settings::Representation::OffsetSurfaceLightField(settings)),
-        backend: wire::Backend::Unspecified.into(),
+        ..Default::default()
     }
 }
 

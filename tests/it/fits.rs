@@ -122,10 +122,8 @@ async fn a_bound_on_bytes_holds_through_the_command_line_and_says_what_it_did() 
 
 fn frame(dataset: &str) -> wire::RenderFrameRequest {
     let map = wire::ParameterMapSettings::default();
-    let settings = wire::RenderSettings {
-        representation: Some(wire::render_settings::Representation::ParameterMap(map)),
-        backend: wire::Backend::Unspecified.into(),
-    };
+    let settings =
+        wire::RenderSettings { representation: Some(wire::render_settings::Representation::ParameterMap(map)), ..Default::default() };
     let output = wire::OutputSettings { want_provenance: true, ..output(wire::Encoding::RawZstd) };
     wire::RenderFrameRequest {
         dataset: dataset.into(),

@@ -13,6 +13,7 @@ mod environments;
 mod exposure;
 mod fits;
 mod fuzz;
+mod ground_truth;
 mod grpc_web;
 mod killed;
 mod larger_than_memory;

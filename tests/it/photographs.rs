@@ -153,6 +153,17 @@ fn imported_and_fitted(server: &Server, list: &Path, name: &str, flags: &[&str])
     server.json(&[&fit[..], flags].concat())["result"]["summary"]["fit"].clone()
 }
 
+/// A small parameter map of photographs, of no scene.
+pub fn of_photographs(server: &Server, folder: &Path, name: &str) {
+    let seen = directions().into_iter().enumerate().map(|(k, [x, y, z])| {
+        fs::write(folder.join(format!("{k}.png")), picture(|x, _| 0.04 * x)).unwrap();
+        format!(r#"{{"file": "{k}.png", "camera": [{}, {}, {}]}}"#, 20.0 * x, 20.0 * y, 20.0 * z)
+    });
+    let list = folder.join("photographs.json");
+    fs::write(&list, own(&seen.collect::<Vec<_>>().join(", "))).unwrap();
+    imported_and_fitted(server, &list, name, &[]);
+}
+
 /// The left half is exposed as it should be, the upper right is too bright and the lower right too dark for every exposure.
 fn scene_radiance(x: f32, y: f32, exposure: f32) -> f32 {
     match (x < WIDTH as f32 / 2.0, y < HEIGHT as f32 / 2.0) {

@@ -40,7 +40,7 @@ pub fn settings(component: Component, blend: Blend) -> wire::RenderSettings {
     };
     wire::RenderSettings {
         representation: Some(wire::render_settings::Representation::OffsetSurfaceLightField(settings)),
-        backend: wire::Backend::Unspecified.into(),
+        ..Default::default()
     }
 }
 

@@ -16,7 +16,7 @@ import {
 import type { Vector3 } from './vector';
 
 /** How two settings are shown together. */
-export type Split = 'none' | 'side' | 'wipe';
+export type Split = 'none' | 'side' | 'wipe' | 'error';
 
 /** All that a link reproduces. */
 export interface Address {
@@ -79,7 +79,9 @@ export function read(hash: string): Address | undefined {
   const dataset = words.get('d') ?? '';
   if (dataset === '') throw new RangeError('the link names no dataset (d=…)');
   const split = words.get('split') ?? 'none';
-  if (split !== 'none' && split !== 'side' && split !== 'wipe') throw new RangeError(`split=${split}: none, side or wipe expected`);
+  if (split !== 'none' && split !== 'side' && split !== 'wipe' && split !== 'error') {
+    throw new RangeError(`split=${split}: none, side, wipe or error expected`);
+  }
   const version = number(words, 'v', 0, Number.MAX_SAFE_INTEGER) ?? 0;
   if (!Number.isInteger(version)) throw new RangeError(`v=${version}: a whole number expected`);
   return {

@@ -4,7 +4,7 @@ import { make } from './dom';
 import type { Drawn } from './meters';
 import { Picture } from './picture';
 import { Session, type Phase } from './session';
-import type { Delivery, Kind, Settings } from './settings';
+import { passesOf, type Delivery, type Kind, type Settings } from './settings';
 import { cameraMessage, sessionCalls, settingsMessage, type Camera, type Frame, type Opening, type SettingsUpdate } from './wire';
 
 /** Who is told. */
@@ -30,6 +30,8 @@ export class Pane {
   private readonly sentAt = new Map<bigint, number>();
   private view: Viewpoint | undefined;
   private newestPose = 0n;
+  // Whether the picture is a frame of the newest pose, in full size.
+  private isCurrent = false;
   private patience = PATIENCE_MILLIS;
   private watchdog: number | undefined;
 
@@ -62,6 +64,7 @@ export class Pane {
     this.view = view;
     const id = this.session.setPose(cameraMessage(view, size));
     this.newestPose = BigInt(id);
+    this.isCurrent = false;
     this.refining.hidden = true;
     this.picture.awaits(view);
     this.expectFrame();
@@ -71,8 +74,14 @@ export class Pane {
     this.element.dataset['pose'] = String(id);
   }
 
+  /** The picture, if it shows the newest pose in full size. */
+  current(): HTMLCanvasElement | undefined {
+    return this.isCurrent ? this.picture.canvas : undefined;
+  }
+
   setSettings(settings: Settings, delivery: Delivery): void {
     this.setLook(settings, delivery);
+    this.isCurrent = false;
     this.session.setSettings(settingsMessage(this.kind, settings, delivery));
     this.expectFrame();
   }
@@ -88,8 +97,9 @@ export class Pane {
     this.element.remove();
   }
 
-  private setLook({ overlay, passes }: Settings, { warp }: Delivery): void {
-    this.passes = passes;
+  private setLook(settings: Settings, { warp }: Delivery): void {
+    const { overlay } = settings;
+    this.passes = passesOf(settings);
     this.refining.hidden = true;
     this.picture.setWarp(warp === 'depth');
     this.picture.setOverlay(overlay === 'state' || overlay === 'samples' ? overlay : undefined);
@@ -108,6 +118,7 @@ export class Pane {
     window.clearTimeout(this.watchdog);
     this.watchdog = undefined;
     this.patience = PATIENCE_MILLIS;
+    this.isCurrent = frame.poseId === this.newestPose && this.picture.isFull(frame);
     if (frame.poseId === this.newestPose) {
       this.picture.hasArrived();
     } else if (this.view !== undefined) {

@@ -16,7 +16,7 @@ interface Waiting {
 
 export class Picture {
   readonly element = make('div', { class: 'picture' });
-  private readonly canvas = make('canvas', { class: 'frame' });
+  readonly canvas = make('canvas', { class: 'frame' });
   private readonly overlay = make('canvas', { class: 'overlay' });
   private waiting: Waiting | undefined;
   private isDecoding = false;
@@ -31,6 +31,11 @@ export class Picture {
   /** Pixels of a still frame: smaller ones are drawn larger. */
   setSize(size: Size): void {
     this.size = size;
+  }
+
+  /** Whether each of its pixels is one of the picture's. */
+  isFull(frame: Frame): boolean {
+    return frame.widthPx === this.size.width && frame.heightPx === this.size.height;
   }
 
   setOverlay(kind: Overlay | undefined): void {

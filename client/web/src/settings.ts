@@ -19,6 +19,10 @@ export function isKind(kind: string): kind is Kind {
 
 /** What one picture shows. */
 export interface Settings {
+  /** "stored", or "truth": what the others should show, path traced. */
+  readonly source: string;
+  /** Of truth at rest: it is the mean of so many. */
+  readonly truthPasses: number;
   readonly component: string;
   readonly blend: string;
   readonly exponent: number;
@@ -68,6 +72,8 @@ export type Field<T> = Common<T> &
   );
 
 export const DEFAULT_SETTINGS: Settings = {
+  source: 'stored',
+  truthPasses: 64,
   component: 'reconstruction',
   blend: 'corrected',
   exponent: 4,
@@ -91,8 +97,44 @@ const showsComponent =
   (...components: string[]) =>
   (values: Settings, kind: Kind): boolean =>
     isLightField(kind) && components.includes(values.component);
+const isStored = (values: Settings): boolean => values.source === 'stored';
+/** Of how what is stored is read: nothing of it is in a truth. */
+const reads =
+  (applies: (values: Settings, kind: Kind) => boolean) =>
+  (values: Settings, kind: Kind): boolean =>
+    isStored(values) && applies(values, kind);
+
+/** Passes of a picture at rest. */
+export function passesOf(settings: Settings): number {
+  return isStored(settings) ? settings.passes : settings.truthPasses;
+}
+
+/** What these settings should show. */
+export function truthOf(settings: Settings): Settings {
+  return { ...settings, source: 'truth', overlay: 'none' };
+}
 
 export const SETTING_FIELDS: readonly Field<Settings>[] = [
+  {
+    key: 'source',
+    label: 'Source',
+    control: 'choice',
+    options: [
+      ['stored', 'as stored'],
+      ['truth', 'ground truth'],
+    ],
+    applies: () => true,
+  },
+  {
+    key: 'truthPasses',
+    label: 'Paths at rest',
+    hint: 'Traced from the scene, a path a pixel in each pass: noise goes.',
+    control: 'number',
+    least: 1,
+    most: 4096,
+    step: 1,
+    applies: (values) => !isStored(values),
+  },
   {
     key: 'component',
     label: 'Component',
@@ -118,7 +160,7 @@ export const SETTING_FIELDS: readonly Field<Settings>[] = [
       ['average', 'average'],
       ['environment-map', 'environment map'],
     ],
-    applies: (_, kind) => isLightField(kind),
+    applies: reads((_, kind) => isLightField(kind)),
   },
   {
     key: 'exponent',
@@ -127,8 +169,10 @@ export const SETTING_FIELDS: readonly Field<Settings>[] = [
     least: 0,
     most: 10000,
     step: 0.1,
-    applies: (values, kind) =>
-      showsComponent('mirror', 'full', 'glossy')(values, kind) && (values.blend === 'normal' || values.blend === 'reflection'),
+    applies: reads(
+      (values, kind) =>
+        showsComponent('mirror', 'full', 'glossy')(values, kind) && (values.blend === 'normal' || values.blend === 'reflection'),
+    ),
   },
   ...(['Red', 'Green', 'Blue'] as const).map(
     (channel): Field<Settings> => ({
@@ -163,7 +207,7 @@ export const SETTING_FIELDS: readonly Field<Settings>[] = [
     least: 1,
     most: 4096,
     step: 1,
-    applies: showsComponent('glossy'),
+    applies: reads(showsComponent('glossy')),
   },
   {
     key: 'passes',
@@ -173,7 +217,7 @@ export const SETTING_FIELDS: readonly Field<Settings>[] = [
     least: 1,
     most: 256,
     step: 1,
-    applies: showsComponent('glossy'),
+    applies: reads(showsComponent('glossy')),
   },
   {
     key: 'filter',
@@ -183,7 +227,7 @@ export const SETTING_FIELDS: readonly Field<Settings>[] = [
       ['footprint', 'footprint'],
       ['bilinear', 'bilinear'],
     ],
-    applies: (_, kind) => isLightField(kind),
+    applies: reads((_, kind) => isLightField(kind)),
   },
   {
     key: 'show',
@@ -225,7 +269,7 @@ export const SETTING_FIELDS: readonly Field<Settings>[] = [
       ['state', 'filled and unknown'],
       ['samples', 'samples'],
     ],
-    applies: () => true,
+    applies: reads(() => true),
   },
 ];
 

@@ -2,12 +2,13 @@
 import { defaultViewpoint, FIELD_OF_VIEW_RANGE, radius, withFieldOfView, type Bounds, type Size, type Viewpoint } from './camera';
 import { steer, type Mode } from './controls';
 import { button, make, select } from './dom';
+import { ErrorMap } from './error_map';
 import { Graphs } from './graphs';
 import { written, type Address, type Split } from './link';
 import { Pane } from './pane';
 import { controls, type Controls } from './panel';
 import type { Phase } from './session';
-import { DELIVERY_FIELDS, SETTING_FIELDS, type Delivery, type Kind, type Settings } from './settings';
+import { DELIVERY_FIELDS, SETTING_FIELDS, truthOf, type Delivery, type Kind, type Settings } from './settings';
 import { saveStill } from './still';
 import { cameraMessage, type Dataset, type Frame, type ServerInfo } from './wire';
 
@@ -61,6 +62,8 @@ export class Viewer {
     value: 50,
     'aria-label': 'Divider between A and B',
   });
+  private readonly errorMap = new ErrorMap();
+  private readonly truthButton: HTMLButtonElement;
   private readonly settingsControls: readonly Controls<Settings>[];
   private readonly letters: readonly HTMLButtonElement[];
   private readonly letterRow: HTMLElement;
@@ -76,6 +79,7 @@ export class Viewer {
       'div',
       { class: 'stage', tabindex: 0, role: 'application', 'aria-label': `${subject.dataset.name}, live view`, 'aria-describedby': 'keys' },
       this.pictures,
+      this.errorMap.legend,
       this.divider,
       this.notice,
     );
@@ -84,6 +88,7 @@ export class Viewer {
     );
     this.letters = LETTERS.map((letter, index) => button(letter, {}, () => this.editLetter(index)));
     this.letterRow = make('div', { class: 'letters', role: 'group', 'aria-label': 'Settings of picture' }, ...this.letters);
+    this.truthButton = button('B: truth of A', { title: 'Picture B shows the ground truth of A’s settings' }, () => this.showTruth());
     this.flyButton = button('Fly', { 'aria-pressed': 'false', title: 'Drag turns the head, W A S D moves (F)' }, () => this.toggleMode());
     this.build();
     this.editLetter(0);
@@ -123,6 +128,7 @@ export class Viewer {
         ['none', 'one picture'],
         ['side', 'A beside B'],
         ['wipe', 'A over B'],
+        ['error', 'error of A against B'],
       ],
       { 'aria-label': 'Compare' },
     );
@@ -149,6 +155,7 @@ export class Viewer {
         button('Reset', { title: 'Back to the first view (R)' }, () => this.reset()),
         this.flyButton,
         split,
+        this.truthButton,
         button('Copy link', {}, () => void this.copyLink()),
         toggle,
       ),
@@ -221,24 +228,36 @@ export class Viewer {
           rejected: (message) => this.tell(message),
           drawn: (frame, measured) => {
             this.graphs.drawn(measured);
+            this.compare();
             if (index === 0) this.showFacts(frame);
           },
         }),
     );
-    this.pictures.replaceChildren(...this.panes.map(({ element }) => element));
+    const isError = split === 'error';
+    this.pictures.replaceChildren(...this.panes.map(({ element }) => element), ...(isError ? [this.errorMap.canvas] : []));
     this.pictures.className = `pictures ${split}`;
     this.divider.hidden = split !== 'wipe';
+    this.errorMap.legend.hidden = !isError;
     this.letterRow.hidden = split === 'none';
+    this.truthButton.hidden = split === 'none';
     this.setView(this.view);
   }
 
   private setView(view: Viewpoint): void {
     this.view = view;
     for (const pane of this.panes) pane.setView(view, this.pixels(pane));
+    this.errorMap.outdate();
     const degrees = (view.fieldOfView / DEGREE).toFixed(0);
     this.fieldOfView.value = degrees;
     this.fieldOfViewText.textContent = degrees;
     this.linkLater();
+  }
+
+  /** Both pictures are given each pose at once: those that show their newest show the same. */
+  private compare(): void {
+    if (this.address.split !== 'error') return;
+    const [a, b] = this.panes.map((pane) => pane.current());
+    if (a && b && a.width === b.width && a.height === b.height) void this.errorMap.compare(a, b);
   }
 
   /** Of a still frame: what fills the pane, within the server's limit. */
@@ -253,6 +272,7 @@ export class Viewer {
     this.address = index === 0 ? { ...this.address, settings: values } : { ...this.address, other: values };
     this.tell(undefined);
     this.panes[index]?.setSettings(values, this.address.delivery);
+    this.errorMap.outdate();
     this.linkLater();
   }
 
@@ -274,6 +294,12 @@ export class Viewer {
     this.settingsControls[1]?.show(this.address.other);
     if (split === 'none') this.editLetter(0);
     this.openPanes();
+  }
+
+  private showTruth(): void {
+    const other = truthOf(this.address.settings);
+    this.settingsControls[1]?.show(other);
+    this.setSettings(1, other);
   }
 
   private editLetter(edited: number): void {

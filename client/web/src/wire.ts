@@ -231,9 +231,10 @@ const FILTERS: Readonly<Record<string, Filter>> = { footprint: Filter.FOOTPRINT,
 const SHOWS: Readonly<Record<string, Show>> = { radiance: Show.RADIANCE, models: Show.MODELS, flags: Show.FLAGS };
 
 function renderSettings(kind: Kind, settings: Settings): RenderSettings {
+  const truth = settings.source === 'truth' && { groundTruth: { pathsPerPixel: 1, passes: settings.truthPasses } };
   if (kind === 'parameter_map') {
     const value = { show: SHOWS[settings.show] ?? Show.SHOW_UNSPECIFIED };
-    return create(RenderSettingsSchema, { representation: { case: 'parameterMap', value } });
+    return create(RenderSettingsSchema, { representation: { case: 'parameterMap', value }, ...truth });
   }
   const value = {
     component: COMPONENTS[settings.component] ?? Component.COMPONENT_UNSPECIFIED,
@@ -245,7 +246,7 @@ function renderSettings(kind: Kind, settings: Settings): RenderSettings {
       gloss: { brdf: settings.brdf, directions: settings.directions, passes: settings.passes },
     }),
   };
-  return create(RenderSettingsSchema, { representation: { case: 'offsetSurfaceLightField', value } });
+  return create(RenderSettingsSchema, { representation: { case: 'offsetSurfaceLightField', value }, ...truth });
 }
 
 /** Of so many columns and rows the warp needs one depth: its sheet is no finer in a large frame. */
@@ -259,7 +260,7 @@ function liveOutput(settings: Settings, delivery: Delivery): OutputSettings {
     wantDepth: delivery.warp === 'depth',
     depthFormat: DepthFormat.INVERSE_16,
     depthStep: DEPTH_STEP,
-    wantProvenance: settings.overlay !== 'none',
+    wantProvenance: settings.overlay !== 'none' && settings.source === 'stored',
   });
 }
 

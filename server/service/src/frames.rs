@@ -1,5 +1,5 @@
 //! From a pose to an encoded frame: open the version, wait for the render thread, encode on a blocking thread. What is a mean of several passes
-//! waits for each of them (`still`).
+//! waits for each of them (`still`). Ground truth waits for a thread of its own.
 
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -9,12 +9,14 @@ use lumisphere::geometry::Camera;
 use lumisphere::images::{ExrStorage, Image, encode_exr_rgb, encode_jpeg, encode_png, tone_mapped};
 use lumisphere::render::{Backend, Frame, FrameRequest, Outputs, Refine, RenderError, Renderer};
 use lumisphere::textures::{Page, PageId};
+use tokio::sync::OwnedSemaphorePermit;
 
 use crate::api::blocking;
 use crate::catalog::OpenedVersion;
 use crate::config::BackendChoice;
 use crate::errors::{ApiError, Reason};
 use crate::frame_use::{AdapterUse, FramePages};
+use crate::ground_truth::{Abandoned, Tracers};
 use crate::prefetch::Expected;
 use crate::render_queue::{Idle, Priority, QueueError, RenderQueue, Rendered};
 use crate::still::{Held, Rooms, Still};
@@ -34,6 +36,8 @@ const MESSAGE_OVERHEAD_BYTES: usize = 64 << 10;
 #[derive(Clone)]
 pub struct Frames {
     queue: RenderQueue<Renderer>,
+    /// Of ground truth: with slots and places of its own.
+    truths: RenderQueue<Tracers>,
     metrics: Arc<Metrics>,
     rooms: Rooms,
     /// The adapter's tier as the last work on the render thread left it: asking does not wait for a frame.
@@ -73,6 +77,35 @@ pub struct Caller {
     pub deadline: Option<tokio::time::Instant>,
 }
 
+/// Whose turn it takes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Painter {
+    Renderer,
+    Tracers,
+}
+
+/// A painter at work.
+enum Brush<'a> {
+    Renderer(&'a Renderer),
+    Tracers(&'a mut Tracers, &'a Abandoned),
+}
+
+/// What became of an order that was taken up late.
+enum Late<T> {
+    Drawn(FrameOrder, Drawn, T),
+    /// Meanwhile it is another painter's.
+    Elsewhere(FrameOrder, T),
+}
+
+/// Tells that the caller has gone.
+struct Caring(Arc<Abandoned>);
+
+impl Drop for Caring {
+    fn drop(&mut self) {
+        self.0.set();
+    }
+}
+
 /// A pass and its account.
 pub struct Drawn {
     /// The pixels themselves.
@@ -84,9 +117,9 @@ pub struct Drawn {
 }
 
 impl Frames {
-    /// On this queue.
-    pub fn new(queue: RenderQueue<Renderer>, metrics: Arc<Metrics>) -> Self {
-        Self { queue, rooms: Rooms::new(metrics.clone()), metrics, gpu: Arc::default() }
+    /// On these queues: of what is stored, and of ground truth.
+    pub fn new(queue: RenderQueue<Renderer>, truths: RenderQueue<Tracers>, metrics: Arc<Metrics>) -> Self {
+        Self { queue, truths, rooms: Rooms::new(metrics.clone()), metrics, gpu: Arc::default() }
     }
 
     /// The adapter's tier of the texture cache after the last frame; None without an adapter.
@@ -129,7 +162,7 @@ impl Frames {
 
     /// Renders waiting or in work.
     pub fn waiting(&self) -> usize {
-        self.queue.waiting()
+        self.queue.waiting() + self.truths.waiting()
     }
 
     /// A frame as it goes over the wire, all its passes. Dropping the future before one starts drops it and all further ones.
@@ -141,21 +174,33 @@ impl Frames {
         Ok(self.encoded_still(still).await?.0)
     }
 
-    /// A frame of one pass of what is ordered when its turn comes, on the render thread; what the orderer wants to remember of it; and the still
+    /// A frame of one pass of what is ordered when its turn comes, which most likely has the `expected` settings; what the orderer wants to remember of it; and the still
     /// that it begins, where more passes are ordered, nothing stood in for missing pages and there is room.
     pub async fn encoded_late<T: Send + 'static>(
         &self,
         order: impl FnOnce() -> (FrameOrder, T) + Send + 'static,
+        expected: &RenderSettings,
         who: Priority,
     ) -> Result<(EncodedFrame, Option<Still>, T), ApiError> {
-        let gpu = self.gpu.clone();
-        let work = move |renderer: &mut Renderer| {
-            let (order, noted) = order();
-            let drawn = draw(renderer, &gpu, &order, 0)?;
-            Ok::<_, RenderError>((order, drawn, noted))
+        let mut painter = Painter::of(expected);
+        let mut order: Box<dyn FnOnce() -> (FrameOrder, T) + Send> = Box::new(order);
+        let (queued, slot, admitted, order, drawn, noted) = loop {
+            let gpu = self.gpu.clone();
+            let work = move |brush: Brush<'_>| {
+                let (order, noted) = order();
+                if Painter::of(&order.settings) != painter {
+                    return Ok(Late::Elsewhere(order, noted));
+                }
+                let drawn = draw(brush, &gpu, &order, 0)?;
+                Ok::<_, ApiError>(Late::Drawn(order, drawn, noted))
+            };
+            let Rendered { value, queued, slot, admitted } = self.turn(painter, self.admit(painter)?, who, None, work).await?;
+            match value? {
+                Late::Drawn(order, drawn, noted) => break (queued, slot, admitted, order, drawn, noted),
+                // As it is now: it changes no more while it waits for the other.
+                Late::Elsewhere(again, noted) => (painter, order) = (Painter::of(&again.settings), Box::new(move || (again, noted))),
+            }
         };
-        let Rendered { value, queued, slot, admitted } = self.queue.run(who, None, work).await.map_err(|e| self.refused(e))?;
-        let (order, drawn, noted) = value?;
         let (metrics, rooms) = (self.metrics.clone(), self.rooms.clone());
         let encoding = move || {
             let mut still = Still::begin(order, drawn, queued, Held::by_call(admitted, slot, None));
@@ -176,22 +221,21 @@ impl Frames {
             1 => None,
             _ => Some(self.rooms.of_call(&order, caller).await?),
         };
-        let admitted = self.queue.admit().map_err(|e| self.refused(e))?;
-        let work = self.pass(order.clone(), 0);
-        let run = self.queue.run_admitted(admitted, caller.who, caller.deadline, work);
-        let Rendered { value, queued, slot, admitted } = run.await.map_err(|e| self.refused(e))?;
+        let painter = Painter::of(&order.settings);
+        let (admitted, work) = (self.admit(painter)?, self.pass(order.clone(), 0));
+        let Rendered { value, queued, slot, admitted } = self.turn(painter, admitted, caller.who, caller.deadline, work).await?;
         Ok(Still::begin(order, value?, queued, Held::by_call(admitted, slot, room)))
     }
 
     /// The next pass of that still, in the place that it has.
     pub async fn next_pass(&self, mut still: Still, caller: Caller) -> Result<Still, ApiError> {
+        let painter = Painter::of(&still.order.settings);
         let admitted = match still.held.admitted.take() {
             Some(admitted) => admitted,
-            None => self.queue.admit().map_err(|e| self.refused(e))?,
+            None => self.admit(painter)?,
         };
         let work = self.pass(still.order.clone(), still.passes());
-        let run = self.queue.run_admitted(admitted, caller.who, caller.deadline, work);
-        let Rendered { value, queued, slot, admitted } = run.await.map_err(|e| self.refused(e))?;
+        let Rendered { value, queued, slot, admitted } = self.turn(painter, admitted, caller.who, caller.deadline, work).await?;
         let drawn = value?;
         blocking(move || {
             still.add(&drawn, queued);
@@ -210,7 +254,7 @@ impl Frames {
             None => Some(self.rooms.of_viewer(&order).await),
         };
         let (work, called) = (self.pass(order.clone(), still.as_ref().map_or(0, Still::passes)), Instant::now());
-        let drawn = self.queue.run_idle(Idle::Refine, work).await.map_err(|e| self.refused(e))??;
+        let drawn = self.idle_turn(Painter::of(&order.settings), work).await??;
         let queued = called.elapsed().saturating_sub(Duration::from_secs_f64(1e-3 * drawn.frame.stats.total_millis));
         blocking(move || {
             Ok(match still {
@@ -235,9 +279,50 @@ impl Frames {
         blocking(move || Ok((encode(&mut still, &metrics)?, still))).await
     }
 
-    fn pass(&self, order: FrameOrder, pass: u32) -> impl FnOnce(&mut Renderer) -> Result<Drawn, RenderError> + Send + 'static {
+    fn pass(&self, order: FrameOrder, pass: u32) -> impl FnOnce(Brush<'_>) -> Result<Drawn, ApiError> + Send + 'static {
         let gpu = self.gpu.clone();
-        move |renderer| draw(renderer, &gpu, &order, pass)
+        move |brush| draw(brush, &gpu, &order, pass)
+    }
+
+    fn admit(&self, painter: Painter) -> Result<OwnedSemaphorePermit, ApiError> {
+        let admitted = match painter {
+            Painter::Renderer => self.queue.admit(),
+            Painter::Tracers => self.truths.admit(),
+        };
+        admitted.map_err(|e| self.refused(e))
+    }
+
+    /// Work in that painter's turn. A pass of paths is given up with the future that waits for it.
+    async fn turn<T: Send + 'static>(
+        &self,
+        painter: Painter,
+        admitted: OwnedSemaphorePermit,
+        who: Priority,
+        deadline: Option<tokio::time::Instant>,
+        work: impl FnOnce(Brush<'_>) -> T + Send + 'static,
+    ) -> Result<Rendered<T>, ApiError> {
+        let abandoned = Arc::new(Abandoned::default());
+        let _caring = Caring(abandoned.clone());
+        let rendered = match painter {
+            Painter::Renderer => self.queue.run_admitted(admitted, who, deadline, |r| work(Brush::Renderer(r))).await,
+            Painter::Tracers => self.truths.run_admitted(admitted, who, deadline, move |t| work(Brush::Tracers(t, &abandoned))).await,
+        };
+        rendered.map_err(|e| self.refused(e))
+    }
+
+    /// The same after everyone who waits for that painter.
+    async fn idle_turn<T: Send + 'static>(
+        &self,
+        painter: Painter,
+        work: impl FnOnce(Brush<'_>) -> T + Send + 'static,
+    ) -> Result<T, ApiError> {
+        let abandoned = Arc::new(Abandoned::default());
+        let _caring = Caring(abandoned.clone());
+        let done = match painter {
+            Painter::Renderer => self.queue.run_idle(Idle::Refine, |r| work(Brush::Renderer(r))).await,
+            Painter::Tracers => self.truths.run_idle(Idle::Refine, move |t| work(Brush::Tracers(t, &abandoned))).await,
+        };
+        done.map_err(|e| self.refused(e))
     }
 
     fn refused(&self, error: QueueError) -> ApiError {
@@ -254,8 +339,29 @@ impl Frames {
     }
 }
 
-/// Renders one pass of what is ordered; on the render thread.
-fn draw(renderer: &Renderer, gpu: &Mutex<Option<GpuTier>>, order: &FrameOrder, pass: u32) -> Result<Drawn, RenderError> {
+impl Painter {
+    fn of(settings: &RenderSettings) -> Self {
+        match settings.ground_truth {
+            None => Self::Renderer,
+            Some(_) => Self::Tracers,
+        }
+    }
+}
+
+/// One pass of what is ordered; on the painter's thread.
+fn draw(brush: Brush<'_>, gpu: &Mutex<Option<GpuTier>>, order: &FrameOrder, pass: u32) -> Result<Drawn, ApiError> {
+    match (brush, order.settings.ground_truth) {
+        (Brush::Renderer(renderer), None) => Ok(render(renderer, gpu, order, pass)?),
+        (Brush::Tracers(tracers, abandoned), Some(truth)) => {
+            let frame = tracers.trace(order, truth, pass, abandoned)?;
+            Ok(Drawn { frame, adapter: None, cache: proto::FrameCacheUse::default() })
+        }
+        (Brush::Renderer(_), Some(_)) | (Brush::Tracers(..), None) => Err(ApiError::internal("a frame in another painter's turn")),
+    }
+}
+
+/// Renders it.
+fn render(renderer: &Renderer, gpu: &Mutex<Option<GpuTier>>, order: &FrameOrder, pass: u32) -> Result<Drawn, RenderError> {
     let outputs = Outputs { depth: order.output.depth.is_some(), provenance: order.output.provenance };
     let settings = order.settings.settings;
     let settings = settings.of_pass(pass).unwrap_or(settings);

@@ -10,10 +10,12 @@ mod errors;
 mod frame_use;
 mod frames;
 mod freed_memory;
+mod ground_truth;
 mod jobs;
 mod prefetch;
 mod render_queue;
 mod replay;
+mod scenes;
 mod serve;
 mod sessions;
 mod shutdown;
@@ -41,6 +43,7 @@ use crate::api::{Adapter, App};
 use crate::catalog::{Catalog, UploadLimits};
 use crate::config::{BackendChoice, Config, Effective, Prefetch};
 use crate::frames::Frames;
+use crate::ground_truth::Tracers;
 use crate::jobs::{JobLimits, Jobs};
 use crate::render_queue::{RenderQueue, RenderThreadEnded};
 use crate::sessions::{Sessions, Stage};
@@ -123,7 +126,9 @@ fn assemble(effective: Effective, runtime: &tokio::runtime::Handle) -> anyhow::R
     let catalog = Arc::new(catalog);
     let (queue, adapter) = start_rendering(&config)?;
     let render_thread = queue.ended();
-    let frames = Frames::new(queue, metrics.clone());
+    let (store, scene_bytes) = (catalog.store().clone(), config.job_scene_bytes);
+    let truths = RenderQueue::start(config.render_queue_length, "trace", move || Tracers::new(store.clone(), scene_bytes))?;
+    let frames = Frames::new(queue, truths, metrics.clone());
     let limits = SpecLimits { max_pixels: config.max_pixels_per_frame, max_cameras: config.max_cameras_per_job };
     let work =
         Work { catalog: catalog.clone(), frames: frames.clone(), runtime: runtime.clone(), limits, scene_bytes: config.job_scene_bytes };
@@ -176,7 +181,7 @@ fn start_rendering(config: &Config) -> anyhow::Result<(RenderQueue<Renderer>, Op
         let _ = told.send(adapter_of(&renderer));
         Ok::<_, anyhow::Error>(renderer)
     };
-    let queue = RenderQueue::start(config.render_queue_length, make)?;
+    let queue = RenderQueue::start(config.render_queue_length, "render", make)?;
     let adapter = adapter.recv().context("the render thread ended early")?;
     match &adapter {
         Some(adapter) => tracing::info!(adapter = adapter.name, driver = adapter.driver, "rendering on the GPU"),

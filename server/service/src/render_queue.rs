@@ -157,16 +157,16 @@ pub struct Rendered<T> {
 }
 
 impl<R: 'static> RenderQueue<R> {
-    /// Starts the thread; `make` makes the renderer on it, and again after a panic. `length` renders may wait.
+    /// Starts the thread of that name; `make` makes the renderer on it, and again after a panic. `length` renders may wait.
     /// Returns once the first renderer is made, with its error if it cannot be.
-    pub fn start<E: Send + 'static>(length: usize, make: impl Fn() -> Result<R, E> + Send + 'static) -> Result<Self, E> {
+    pub fn start<E: Send + 'static>(length: usize, name: &str, make: impl Fn() -> Result<R, E> + Send + 'static) -> Result<Self, E> {
         let state = State { renders: BinaryHeap::new(), arrivals: 0, idle: Default::default(), free_slots: SLOTS, is_closed: false };
         let line = Arc::new(Line { state: Mutex::new(state), changed: Condvar::new() });
         let door = Arc::new(Door(line.clone()));
         let (ready, made) = bounded(1);
         let (alive, ended) = bounded(0);
         thread::Builder::new()
-            .name("render".into())
+            .name(name.into())
             .spawn(move || {
                 match make() {
                     Ok(renderer) => {

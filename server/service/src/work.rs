@@ -6,7 +6,6 @@ mod fit;
 mod observe;
 mod path_render;
 mod publishing;
-mod scene;
 mod thin;
 mod views;
 
@@ -19,15 +18,15 @@ use lumisphere::textures::ContentHash;
 use tokio::runtime::Handle;
 
 use crate::catalog::{Catalog, OpenedVersion};
-use crate::errors::{ApiError, Reason};
+use crate::errors::ApiError;
 use crate::frames::{Caller, FrameOrder, Frames};
 use crate::jobs::{Attempt, JobBody, Outcome, ResultBlob, cancelled};
 use crate::render_queue::Priority;
+use crate::scenes::{load_scene, scene_of};
 use crate::still::Still;
 use crate::wire::frames::EncodedFrame;
 use crate::wire::jobs::{JobSpec, SpecLimits, job_spec, recalled};
-use crate::wire::scenes::{SceneSource, scene_source};
-use scene::load_scene;
+use crate::wire::scenes::SceneSource;
 
 /// What jobs work with. Runs on the jobs' own threads, never on a tokio worker.
 pub struct Work {
@@ -77,11 +76,7 @@ impl Work {
 
     /// Where a version came from, and the scene that it was captured of.
     fn captured_scene(&self, version: &OpenedVersion) -> Result<(SceneSource, Scene), ApiError> {
-        let source = version.origin.as_ref().and_then(|o| o.scene()).ok_or_else(|| {
-            let message = format!("dataset {} version {} does not say from which scene it was captured", version.dataset, version.version);
-            ApiError::new(Reason::DatasetKindMismatch, message)
-        })?;
-        let source = scene_source(Some(source.clone()), "scene")?;
+        let source = scene_of(version)?;
         let scene = load_scene(&source, self.catalog.store(), self.scene_bytes)?;
         Ok((source, scene))
     }

@@ -178,6 +178,18 @@ export class ViewerPage {
     );
   }
 
+  /** Red, green and blue codes of an encoded image, row by row. */
+  async codes(image: Uint8Array): Promise<number[]> {
+    return this.page.evaluate(async (base64) => {
+      const bytes = Uint8Array.from(atob(base64), (c) => c.charCodeAt(0));
+      const bitmap = await createImageBitmap(new Blob([bytes]), { colorSpaceConversion: 'none' });
+      const context = new OffscreenCanvas(bitmap.width, bitmap.height).getContext('2d')!;
+      context.drawImage(bitmap, 0, 0);
+      const { data } = context.getImageData(0, 0, bitmap.width, bitmap.height);
+      return Array.from(data.filter((_, i) => i % 4 !== 3));
+    }, Buffer.from(image).toString('base64'));
+  }
+
   /** The picture as PNG bytes. */
   async picture(pane = 0): Promise<Uint8Array> {
     const url = await this.page

@@ -1,6 +1,6 @@
 /** The real binaries: a server on a folder of its own, which can be killed and started again on the same port, and the command line. */
 import { execFileSync, spawn, type ChildProcess } from 'node:child_process';
-import { mkdtempSync, readFileSync, rmSync } from 'node:fs';
+import { existsSync, mkdtempSync, readFileSync, rmSync } from 'node:fs';
 import { tmpdir } from 'node:os';
 import { join } from 'node:path';
 import { createInterface } from 'node:readline';
@@ -79,6 +79,13 @@ export class Server {
 
   resume(): void {
     this.child?.kill('SIGCONT');
+  }
+
+  /** Memory of the process; undefined where the system does not say (other than Linux). */
+  residentBytes(): number | undefined {
+    const status = `/proc/${this.child?.pid}/status`;
+    if (!existsSync(status)) return undefined;
+    return 1024 * Number(/^VmRSS:\s+(\d+) kB/m.exec(readFileSync(status, 'utf8'))?.[1]);
   }
 
   async remove(): Promise<void> {

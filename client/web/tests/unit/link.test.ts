@@ -18,7 +18,7 @@ const FULL: Address = {
   },
   delivery: { encoding: 'png', quality: 55, scale: 0.5, rate: 15, warp: 'depth' },
   split: 'wipe',
-  other: { ...addressOf('x').other, component: 'mirror', specularRed: 0.25, overlay: 'samples' },
+  other: { ...addressOf('x').other, source: 'truth', truthPasses: 9, component: 'mirror', specularRed: 0.25, overlay: 'samples' },
 };
 
 describe('a link', () => {
@@ -32,6 +32,10 @@ describe('a link', () => {
     expect(length(subtract(a.position, b.position)) / length(a.position)).toBeLessThan(1e-8);
     for (const axis of ['right', 'up', 'backward'] as const) expect(length(subtract(a[axis], b[axis]))).toBeLessThan(1e-8);
     expect(written(back!)).toBe(written(FULL));
+  });
+
+  test.each(['side', 'wipe', 'error'] as const)('keeps how two pictures are compared: %s', (split) => {
+    expect(read(written({ ...FULL, split }))?.split).toBe(split);
   });
 
   test('of the defaults is short', () => {
@@ -56,6 +60,8 @@ describe('a link', () => {
     ['#d=a&exponent=1e9', 'exponent=1e9'],
     ['#d=a&split=diagonal', 'split=diagonal'],
     ['#d=a&split=side&b.blend=nearest', 'b.blend=nearest'],
+    ['#d=a&source=wish', 'source=wish'],
+    ['#d=a&truthPasses=0', 'truthPasses=0'],
     ['#d=a&az=0&el=0&r=1&fov=40', 'at='],
     ['#d=a&at=0,0&az=0&el=0&r=1&fov=40', 'three numbers'],
     ['#d=a&at=0,0,Infinity&az=0&el=0&r=1&fov=40', 'at=Infinity'],

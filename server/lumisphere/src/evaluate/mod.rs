@@ -14,6 +14,7 @@ mod row;
 mod sweep;
 mod thin;
 mod truth;
+mod truth_passes;
 
 use thiserror::Error;
 
@@ -36,6 +37,7 @@ pub use row::{PictureNames, Row};
 pub use sweep::{Conditions, Group, SWEEP_FORMAT, Sweep, SweepError, SweepRow, bytes_text};
 pub use thin::{ThinError, ThinMetric, ThinPlan, ThinReport, thin};
 pub use truth::{Truth, TruthRenderer, ViewTruth};
+pub use truth_passes::{MOST_PATHS_PER_PASS, MOST_PATHS_PER_PIXEL, MOST_TRUTH_PASSES, TruthError, TruthPass, TruthPasses};
 
 /// What to measure.
 #[derive(Debug, Clone)]

@@ -188,7 +188,7 @@ fn smoothly_joined((x, n): (Vec3, Vec3), (y, m): (Vec3, Vec3)) -> bool {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use glam::Vec2;
 
     use super::*;
@@ -197,7 +197,7 @@ mod tests {
     use crate::scenes::{LoadOptions, SceneBundle, load};
 
     /// A ball over a black floor, in uneven light.
-    fn ball() -> (Scene, Camera) {
+    pub fn ball() -> (Scene, Camera) {
         let json = br#"{"format": "neutral-scene/1",
             "materials": {"grey": {"type": "diffuse", "albedo": [0.6, 0.4, 0.2]}, "black": {"type": "diffuse", "albedo": [0, 0, 0]}},
             "objects": [

@@ -33,6 +33,6 @@ mod tests;
 pub(crate) use bvh::Bvh;
 pub(crate) use low_discrepancy::SampleSequence;
 pub use memory::working_bytes;
-pub use render::{TraceSettings, TracedImage};
+pub use render::{Seen, TraceSettings, TracedImage};
 pub use tracer::{Appearance, Hit, TraceError, Tracer};
 pub(crate) use traverse::Stack;

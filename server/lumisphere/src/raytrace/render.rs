@@ -43,6 +43,17 @@ pub struct TracedImage {
     pub variance: Image,
 }
 
+/// What a viewer sees in a pixel.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Seen {
+    /// Mean over the pixel's square.
+    pub radiance: Vec3,
+    /// As `TracedImage::distance`.
+    pub distance: f32,
+    /// As `TracedImage::object`.
+    pub object: u32,
+}
+
 // Pixels along the edge of a tile: neighbours share nodes in the cache, and a picture has tiles enough for many threads.
 const TILE: usize = 16;
 
@@ -74,6 +85,39 @@ impl Tracer {
         settings: &TraceSettings,
         progress: &dyn Progress,
     ) -> Result<TracedImage, Cancelled> {
+        let (tiles, pixels) = self.trace_pixels(0, wanted, camera, settings, progress, |pixel| *pixel)?;
+        let mut image = TracedImage::empty(tiles.width, tiles.height);
+        tiles.scatter(&pixels, wanted, |index, pixel| image.set(index, pixel));
+        Ok(image)
+    }
+
+    /// What of the same picture a viewer sees, of its samples `first`, `first` + 1, … alone: the mean of such pictures is that of all their samples
+    /// together. Row by row; as if nothing was there where not `wanted`.
+    pub fn seen(
+        &self,
+        first: u32,
+        wanted: &(dyn Fn(usize, usize) -> bool + Sync),
+        camera: &Camera,
+        settings: &TraceSettings,
+        progress: &dyn Progress,
+    ) -> Result<Vec<Seen>, Cancelled> {
+        let of = |pixel: &Pixel| Seen { radiance: pixel.mean, distance: pixel.distance, object: pixel.object };
+        let (tiles, pixels) = self.trace_pixels(first, wanted, camera, settings, progress, of)?;
+        let mut seen = vec![Seen { radiance: Vec3::ZERO, distance: f32::INFINITY, object: u32::MAX }; tiles.width * tiles.height];
+        tiles.scatter(&pixels, wanted, |index, pixel| seen[index] = *pixel);
+        Ok(seen)
+    }
+
+    /// What is `kept` of every `wanted` pixel, by tiles; of its samples those from `first`.
+    fn trace_pixels<P: Send>(
+        &self,
+        first: u32,
+        wanted: &(dyn Fn(usize, usize) -> bool + Sync),
+        camera: &Camera,
+        settings: &TraceSettings,
+        progress: &dyn Progress,
+        kept: impl Fn(&Pixel) -> P + Sync,
+    ) -> Result<(Tiles, Vec<Vec<P>>), Cancelled> {
         let (width, height) = (camera.intrinsics().width_px as usize, camera.intrinsics().height_px as usize);
         let tiles = Tiles::new(width, height);
         let pixels = tiles.trace(
@@ -88,14 +132,12 @@ impl Tracer {
                     let ray = camera.ray(corners[pixel] + random.pair());
                     paths.push(ray.origin, ray.direction, random);
                 };
-                let estimates = estimate(paths, tile.len(), settings, index, push, PathTracer::reflect_once);
+                let estimates = estimate(paths, tile.len(), first, settings, index, push, PathTracer::reflect_once);
                 pixels.iter_mut().zip(estimates).for_each(|(pixel, e)| (pixel.mean, pixel.variance) = (e.mean, e.variance()));
-                pixels
+                pixels.iter().map(&kept).collect()
             },
         )?;
-        let mut image = TracedImage::empty(width, height);
-        tiles.scatter(&pixels, wanted, |index, pixel| image.set(index, pixel));
-        Ok(image)
+        Ok((tiles, pixels))
     }
 
     /// Radiance and distance seen from `position` in every direction: RGB is the mean over a texel, the distance that of its centre.
@@ -128,7 +170,7 @@ impl Tracer {
                     let direction = toward(texel, random.pair());
                     paths.push(position, direction, random);
                 };
-                let estimates = estimate(paths, tile.len(), settings, index, push, |_| ());
+                let estimates = estimate(paths, tile.len(), 0, settings, index, push, |_| ());
                 estimates.iter().zip(distances).map(|(e, distance)| [e.mean.x, e.mean.y, e.mean.z, distance]).collect()
             },
         )?;
@@ -149,7 +191,7 @@ impl Tracer {
                 paths.push(ray.origin, ray.direction, random);
             };
             let index = |bundle: usize| first + (start + bundle) as u64;
-            let estimates = estimate(&mut paths, (count - start).min(TILE * TILE), settings, index, push, |_| ());
+            let estimates = estimate(&mut paths, (count - start).min(TILE * TILE), 0, settings, index, push, |_| ());
             radiance.extend(estimates.iter().map(|e| e.mean));
         }
         radiance
@@ -180,19 +222,20 @@ impl Estimate {
     }
 }
 
-/// All samples of a tile of `pixels`: `push` starts one path, `ready` is asked before they are traced. `index` names a pixel in the picture: its numbers come from it.
+/// All samples of a tile of `pixels`, from sample `begin` on: `push` starts one path, `ready` is asked before they are traced. `index` names a pixel in the picture: its numbers come from it.
 fn estimate<'a>(
     paths: &mut PathTracer<'a>,
     pixels: usize,
+    begin: u32,
     settings: &TraceSettings,
     index: impl Fn(usize) -> u64,
     push: impl Fn(&mut PathTracer<'a>, usize, SampleSequence),
     ready: impl Fn(&mut PathTracer<'a>),
 ) -> Vec<Estimate> {
-    let count = settings.samples_per_pixel.max(1);
+    let end = begin + settings.samples_per_pixel.max(1);
     let mut estimates = vec![Estimate::NOTHING; pixels];
-    for first in (0..count).step_by(SAMPLES_AT_ONCE as usize) {
-        let samples = first..count.min(first + SAMPLES_AT_ONCE);
+    for first in (begin..end).step_by(SAMPLES_AT_ONCE as usize) {
+        let samples = first..end.min(first + SAMPLES_AT_ONCE);
         paths.clear();
         for pixel in 0..pixels {
             samples.clone().for_each(|s| push(paths, pixel, SampleSequence::new(settings.seed, index(pixel), s)));

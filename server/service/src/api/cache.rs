@@ -16,7 +16,7 @@ use crate::replay::{Outcomes, Replay};
 use crate::wire::cache::{CacheChange, cache_change, interval, recording, traffic_time};
 use crate::wire::camera::camera;
 use crate::wire::proto::{self, cache_server::Cache};
-use crate::wire::settings::{check_kind, render_settings};
+use crate::wire::settings::{check_kind, stored_settings};
 use crate::wire::{self, MAX_CHUNK_BYTES};
 
 /// Of one recording in memory; its file is smaller.
@@ -200,7 +200,7 @@ impl Wish {
             return Err(ApiError::field("cameras", problem));
         }
         let cameras = m.cameras.into_iter().enumerate().map(|(i, c)| camera(Some(c), limits.max_pixels, &format!("cameras[{i}]")));
-        let settings = render_settings(m.settings, "settings")?.settings;
+        let settings = stored_settings(m.settings, "settings")?.settings;
         if settings.brdf().is_some() {
             let problem = "GLOSSY, another component expected: a recording's own lobe draws directions";
             return Err(ApiError::field("settings.offset_surface_light_field.component", problem));

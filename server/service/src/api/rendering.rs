@@ -9,6 +9,7 @@ use tonic::{Request, Response, Status, Streaming};
 use super::{Answers, Api, App, blocking};
 use crate::errors::ApiError;
 use crate::frames::{Caller, FrameOrder};
+use crate::ground_truth::check_truth;
 use crate::render_queue::Priority;
 use crate::wire::frames::{FrameIdentity, frame};
 use crate::wire::proto::{self, rendering_server::Rendering};
@@ -67,6 +68,7 @@ async fn render(app: &App, m: proto::RenderFrameRequest, deadline: Option<tokio:
     let (catalog, begun) = (app.catalog.clone(), Instant::now());
     let version = blocking(move || catalog.open_version(&dataset, m.version)).await?;
     check_kind(&settings.settings, version.representation.kind().name())?;
+    check_truth(&settings, &version)?;
     let opening_micros = begun.elapsed().as_micros() as u64;
     let (version_shown, refine, passes) = (version.clone(), Refine::Whole, settings.passes);
     let order = FrameOrder { version: version_shown, camera, settings, output, opening_micros, refine, passes, video: None };

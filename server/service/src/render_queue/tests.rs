@@ -8,7 +8,7 @@ use crossbeam_channel::Sender;
 use super::*;
 
 fn queue(length: usize) -> RenderQueue<u32> {
-    RenderQueue::start(length, || Ok::<u32, Infallible>(0)).unwrap()
+    RenderQueue::start(length, "render", || Ok::<u32, Infallible>(0)).unwrap()
 }
 
 /// Occupies the thread until the sender is dropped or used.

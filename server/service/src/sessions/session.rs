@@ -25,6 +25,7 @@ use crate::catalog::OpenedVersion;
 use crate::config::BackendChoice;
 use crate::errors::{ApiError, Reason};
 use crate::frames::VideoStream;
+use crate::ground_truth::check_truth;
 use crate::prefetch::{Expected, Motion};
 use crate::render_queue::Priority;
 use crate::still::Still;
@@ -166,6 +167,7 @@ impl Session {
         let catalog = stage.catalog.clone();
         let version = blocking(move || catalog.open_version(&dataset, open.version)).await?;
         check_kind(&settings.settings, version.representation.kind().name())?;
+        check_truth(&settings, &version)?;
         let sequences = Sequences::default();
         let wish = Wish { pose: None, settings, output, sequences, revision: 0, changed: Instant::now(), poses: 0, acknowledged: 0 };
         let wish = watch::Sender::new(wish);
@@ -213,6 +215,7 @@ impl Session {
         let output = output_settings.map(|o| output(Some(o), Delivery::Stream, "settings.output")).transpose()?;
         if let Some(settings) = &settings {
             check_kind(&settings.settings, self.version.representation.kind().name())?;
+            check_truth(settings, &self.version)?;
         }
         let acknowledged = acknowledge.map_or(0, |a| a.frame_id);
         let sent = self.sent.load(Ordering::SeqCst);
@@ -363,13 +366,14 @@ impl Session {
             let begun = CancellationToken::new();
             let moved_on = async {
                 let _ = wishes.wait_for(|now| now.revision > asked.revision).await;
-                if begun.is_cancelled() {
+                // Paths can be given up half-way, and may take long.
+                if begun.is_cancelled() && asked.settings.ground_truth.is_none() {
                     std::future::pending().await
                 }
             };
             let rendered = tokio::select! {
                 biased;
-                // A frame of full size is not begun for a viewer who has moved on; one that was begun is shown.
+                // A frame of full size is not begun for a viewer who has moved on; one that was begun is shown, if it is rendered.
                 () = moved_on, if who == Priority::Still => {
                     self.stage.metrics.stills_abandoned.inc();
                     continue;
@@ -477,7 +481,8 @@ impl Session {
 
     /// Brings what the expected frame would miss, once, and never returns.
     async fn prefetch(&self, expected: &mut Option<Expected>) {
-        if let Some(expected) = expected.take().filter(|e| self.stage.looks_ahead && e.settings.backend != BackendChoice::Cpu) {
+        let reads_pages = |e: &Expected| e.settings.ground_truth.is_none() && e.settings.backend != BackendChoice::Cpu;
+        if let Some(expected) = expected.take().filter(|e| self.stage.looks_ahead && reads_pages(e)) {
             match expected.bring(&self.stage.frames, self.stage.upload_bytes_per_frame).await {
                 Ok(pages) => tracing::trace!(pages, "brought ahead"),
                 // The frame itself will tell the viewer.
@@ -493,7 +498,7 @@ impl Session {
     /// `begun` is cancelled then.
     async fn render(&self, asked: &Wish, who: Priority, frame_id: u64, begun: CancellationToken) -> Result<Rendered, ApiError> {
         let (version, moving, upload_bytes) = (self.version.clone(), self.moving.clone(), self.stage.upload_bytes_per_frame);
-        let (wishes, asked, video) = (self.wish.subscribe(), asked.clone(), self.video.clone());
+        let (wishes, asked, video, settings) = (self.wish.subscribe(), asked.clone(), self.video.clone(), asked.settings);
         let order = move || {
             begun.cancel();
             let latest = wishes.borrow().clone();
@@ -510,7 +515,7 @@ impl Session {
             (order, turn)
         };
         let begun = Instant::now();
-        let (frame, still, turn) = self.stage.frames.encoded_late(order, who).await?;
+        let (frame, still, turn) = self.stage.frames.encoded_late(order, &settings, who).await?;
         let (pose_id, all_pages) = (turn.pose_id, frame.all_pages);
         let (size, is_full) = (turn.size(frame.encoding), turn.is_full(frame.encoding));
         tracing::debug!(frame_id, pose_id, micros = begun.elapsed().as_micros() as u64, "frame");

@@ -14,7 +14,7 @@ use prost::Message;
 
 use super::camera::vec3;
 use super::scenes::{SceneSource, scene_source, uploaded_files};
-use super::settings::{Delivery, Output, RenderSettings, output, render_settings};
+use super::settings::{Delivery, Output, RenderSettings, output, render_settings, stored_settings};
 use super::{camera, count, dataset_name, positive, proto, required, timestamp, within};
 use crate::errors::ApiError;
 use crate::jobs::{FitSoFar, JobView, Outcome, PARTIAL, State};
@@ -389,7 +389,7 @@ fn evaluate(m: proto::EvaluateSpec, limits: &SpecLimits, field: &str) -> Result<
     if m.settings.is_empty() || m.settings.len() > MAX_SETTINGS {
         return Err(ApiError::field(at("settings"), format!("{} settings, 1 to {MAX_SETTINGS} expected", m.settings.len())));
     }
-    let settings = m.settings.into_iter().enumerate().map(|(i, s)| render_settings(Some(s), &format!("{field}.settings[{i}]")));
+    let settings = m.settings.into_iter().enumerate().map(|(i, s)| stored_settings(Some(s), &format!("{field}.settings[{i}]")));
     let truth = |(i, number): (usize, &i32)| match proto::Truth::try_from(*number) {
         Ok(proto::Truth::OneReflection) => Ok(Truth::OneReflection),
         Ok(proto::Truth::PhysicalMirror) => Ok(Truth::PhysicalMirror),
@@ -443,7 +443,7 @@ fn thin(m: proto::ThinSpec, field: &str) -> Result<ThinSpec, ApiError> {
     if !(m.max_error > 0.0 && m.max_error.is_finite()) {
         return Err(ApiError::field(at("max_error"), format!("{}, a number above 0 expected", m.max_error)));
     }
-    let settings = render_settings(m.settings, &at("settings"))?;
+    let settings = stored_settings(m.settings, &at("settings"))?;
     if settings.settings.brdf().is_some() {
         return Err(ApiError::field(at("settings.component"), "GLOSSY, another component expected"));
     }

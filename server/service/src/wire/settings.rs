@@ -1,6 +1,7 @@
 //! How to render and what to return.
 
 use glam::Vec3;
+use lumisphere::evaluate::{MOST_PATHS_PER_PIXEL, MOST_TRUTH_PASSES};
 use lumisphere::images::{Exposure, JpegQuality, ToneMap};
 use lumisphere::representations::offset_surface_light_field as oslf;
 use lumisphere::representations::{Settings, parameter_map};
@@ -18,6 +19,9 @@ const DEFAULT_DIRECTIONS: u32 = 64;
 /// Default N of the blends that have one.
 const DEFAULT_EXPONENT: f32 = 4.0;
 const DEFAULT_JPEG_QUALITY: u8 = 90;
+/// Defaults of `GroundTruth`: a first pass that comes soon, and enough that a still is worth a look.
+const DEFAULT_PATHS_PER_PIXEL: u32 = 1;
+const DEFAULT_TRUTH_PASSES: u32 = 64;
 /// 2^stops, 2^−stops: what `Exposure` allows.
 const MAX_EXPOSURE_STOPS: f32 = 30.0;
 const MAX_EXPOSURE_GAMMA: f32 = 1000.0;
@@ -27,10 +31,19 @@ const MAX_EXPOSURE_GAMMA: f32 = 1000.0;
 pub struct RenderSettings {
     /// By kind.
     pub settings: Settings,
+    /// What they should show, instead of what is stored.
+    pub ground_truth: Option<GroundTruth>,
     /// Where.
     pub backend: BackendChoice,
     /// Of a still, at least 1; 1 where a second would be no other than the first.
     pub passes: u32,
+}
+
+/// How truth is traced.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct GroundTruth {
+    /// Of a pass.
+    pub paths_per_pixel: u32,
 }
 
 /// What is returned.
@@ -122,7 +135,31 @@ pub fn render_settings(message: Option<proto::RenderSettings>, field: &str) -> R
         Ok(proto::Backend::Cpu) => BackendChoice::Cpu,
         Err(_) => return Err(ApiError::field(format!("{field}.backend"), format!("{}, GPU or CPU expected", message.backend))),
     };
-    Ok(RenderSettings { settings, backend, passes })
+    let truth = message.ground_truth.map(|m| ground_truth(m, &settings, &format!("{field}.ground_truth"))).transpose()?;
+    let (ground_truth, passes) = truth.map_or((None, passes), |(truth, passes)| (Some(truth), passes));
+    Ok(RenderSettings { settings, ground_truth, backend, passes })
+}
+
+/// The same for work that reads what is stored.
+pub fn stored_settings(message: Option<proto::RenderSettings>, field: &str) -> Result<RenderSettings, ApiError> {
+    let settings = render_settings(message, field)?;
+    match settings.ground_truth {
+        None => Ok(settings),
+        Some(_) => Err(ApiError::field(format!("{field}.ground_truth"), "given, none expected: this works on what is stored")),
+    }
+}
+
+/// And its passes.
+fn ground_truth(message: proto::GroundTruth, settings: &Settings, field: &str) -> Result<(GroundTruth, u32), ApiError> {
+    if let Settings::ParameterMap(parameter_map::Settings { show }) = settings
+        && *show != parameter_map::Show::Radiance
+    {
+        return Err(ApiError::field(field, format!("given for {}, RADIANCE expected: of nothing else is there a truth", show.name())));
+    }
+    let paths = &format!("{field}.paths_per_pixel");
+    let paths_per_pixel = count(message.paths_per_pixel, DEFAULT_PATHS_PER_PIXEL, 1, MOST_PATHS_PER_PIXEL, paths)?;
+    let passes = count(message.passes, DEFAULT_TRUTH_PASSES, 1, MOST_TRUTH_PASSES, &format!("{field}.passes"))?;
+    Ok((GroundTruth { paths_per_pixel }, passes))
 }
 
 /// Refuses settings for another kind than the dataset's.
@@ -359,7 +396,7 @@ mod tests {
             let gloss = proto::offset_surface_light_field_settings::Gloss { brdf, directions: 0, passes };
             let field = proto::OffsetSurfaceLightFieldSettings { gloss: Some(gloss), ..message(component, 1) };
             let representation = Some(proto::render_settings::Representation::OffsetSurfaceLightField(field));
-            render_settings(Some(proto::RenderSettings { representation, backend: 0 }), "s").map(|s| s.passes)
+            render_settings(Some(proto::RenderSettings { representation, ..Default::default() }), "s").map(|s| s.passes)
         };
         assert_eq!([with(4, 0).unwrap(), with(4, 1).unwrap(), with(4, 256).unwrap(), with(2, 9999).unwrap()], [1, 1, 256, 1]);
         let error = with(4, 257).unwrap_err().to_string();
@@ -373,6 +410,37 @@ mod tests {
         assert_eq!(oslf_settings(message(2, 5), "s").unwrap().blend, oslf::Blend::Normal { exponent: 4.0 });
         assert_eq!(oslf_settings(message(2, 5), "s").unwrap().specular_reflectance, Vec3::ONE);
         assert_eq!(oslf_settings(message(2, 5), "s").unwrap().filter, oslf::Filter::Footprint);
+    }
+
+    #[test]
+    fn a_truth_has_its_own_passes_and_only_radiance_has_one() {
+        use proto::render_settings::Representation;
+        let with = |representation: Representation, paths_per_pixel, passes| {
+            let ground_truth = Some(proto::GroundTruth { paths_per_pixel, passes });
+            render_settings(Some(proto::RenderSettings { representation: Some(representation), ground_truth, backend: 0 }), "s")
+        };
+        let field = || Representation::OffsetSurfaceLightField(message(2, 1));
+        let map = |show| Representation::ParameterMap(proto::ParameterMapSettings { show });
+        for (paths, passes, read) in [(0, 0, (1, 64)), (64, 4096, (64, 4096)), (2, 3, (2, 3))] {
+            let settings = with(field(), paths, passes).unwrap();
+            assert_eq!((settings.ground_truth.unwrap().paths_per_pixel, settings.passes), read);
+        }
+        let refusal = |result: Result<RenderSettings, ApiError>| result.unwrap_err().to_string();
+        assert_eq!(refusal(with(field(), 65, 0)), "s.ground_truth.paths_per_pixel: 65, 1 to 64 expected");
+        assert_eq!(refusal(with(field(), 1, 4097)), "s.ground_truth.passes: 4097, 1 to 4096 expected");
+        assert!(with(map(0), 0, 0).is_ok() && with(map(1), 0, 0).is_ok());
+        assert!(refusal(with(map(2), 0, 0)).starts_with("s.ground_truth: given for models, RADIANCE expected"));
+        assert!(refusal(with(map(3), 0, 0)).starts_with("s.ground_truth: given for flags, RADIANCE expected"));
+    }
+
+    #[test]
+    fn work_on_what_is_stored_takes_no_truth() {
+        let representation = Some(proto::render_settings::Representation::OffsetSurfaceLightField(message(2, 1)));
+        let with = |ground_truth| {
+            stored_settings(Some(proto::RenderSettings { representation: representation.clone(), ground_truth, backend: 0 }), "s")
+        };
+        assert!(with(None).is_ok());
+        assert!(with(Some(proto::GroundTruth::default())).unwrap_err().to_string().starts_with("s.ground_truth: given, none expected"));
     }
 
     #[test]

@@ -5,10 +5,10 @@ use lumisphere::representations::offset_surface_light_field::{ConstructSettings,
 use lumisphere::textures::{Publication, Staging};
 
 use super::Work;
-use super::scene::{inputs, load_scene};
 use crate::errors::ApiError;
 use crate::jobs::record::now_millis;
 use crate::jobs::{Attempt, Outcome};
+use crate::scenes::{inputs, load_scene};
 use crate::wire::datasets::{ORIGIN, Origin};
 use crate::wire::jobs::CaptureSpec;
 

@@ -12,10 +12,10 @@ use lumisphere::formats::photograph_list::{self, ListedPhotograph, PhotographLis
 use lumisphere::textures::{ContentHash, Publication, Staging};
 
 use super::Work;
-use super::scene::{inputs, load_scene, read_bounded};
 use crate::errors::ApiError;
 use crate::jobs::record::now_millis;
 use crate::jobs::{Attempt, Outcome};
+use crate::scenes::{inputs, load_scene, read_bounded};
 use crate::wire::datasets::{ORIGIN, Origin};
 use crate::wire::jobs::{ObserveSource, ObserveSpec, ObservedScene, PhotographSource};
 

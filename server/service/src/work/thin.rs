@@ -7,11 +7,11 @@ use lumisphere::representations::{Kind, Settings};
 use lumisphere::textures::{Publication, Staging};
 
 use super::Work;
-use super::scene::inputs;
 use crate::catalog::OpenedVersion;
 use crate::errors::{ApiError, Reason};
 use crate::jobs::record::now_millis;
 use crate::jobs::{Attempt, Outcome};
+use crate::scenes::inputs;
 use crate::wire::datasets::ORIGIN;
 use crate::wire::jobs::ThinSpec;
 

@@ -1,4 +1,4 @@
-//! Scenes of jobs: generated, or read from uploaded blobs.
+//! Scenes of jobs and of ground truth: generated, or read from uploaded blobs.
 
 use std::collections::BTreeMap;
 
@@ -9,8 +9,9 @@ use lumisphere::scenes::{
 };
 use lumisphere::textures::{ContentHash, Store, StoreError};
 
+use crate::catalog::OpenedVersion;
 use crate::errors::{ApiError, Reason};
-use crate::wire::scenes::{SceneBase, SceneSource};
+use crate::wire::scenes::{SceneBase, SceneSource, scene_source};
 
 /// A bundle whose files are blobs.
 struct BundleInStore<'a> {
@@ -27,7 +28,7 @@ impl SceneFiles for BundleInStore<'_> {
 }
 
 /// A blob whole, but not one that would fill the memory.
-pub(super) fn read_bounded(store: &Store, hash: &ContentHash, path: &str) -> Result<Vec<u8>, FileError> {
+pub fn read_bounded(store: &Store, hash: &ContentHash, path: &str) -> Result<Vec<u8>, FileError> {
     let failed = |error: StoreError| FileError::Io { path: path.into(), source: std::io::Error::other(error) };
     match store.blob_bytes(hash).map_err(failed)? > DEFAULT_FILE_LIMIT_BYTES {
         true => Err(FileError::TooLarge { path: path.into(), limit_bytes: DEFAULT_FILE_LIMIT_BYTES }),
@@ -35,8 +36,22 @@ pub(super) fn read_bounded(store: &Store, hash: &ContentHash, path: &str) -> Res
     }
 }
 
+/// From which scene a version was made.
+pub fn scene_of(version: &OpenedVersion) -> Result<SceneSource, ApiError> {
+    let source = version.origin.as_ref().and_then(|o| o.scene()).ok_or_else(|| {
+        let message = format!("dataset {} version {} does not say from which scene it was captured", version.dataset, version.version);
+        ApiError::new(Reason::SceneUnknown, message)
+    })?;
+    scene_source(Some(source.clone()), "scene")
+}
+
 /// Reads the scene, with its other environment if there is one; not one that would take more than `limit_bytes` while it is traced.
 pub fn load_scene(source: &SceneSource, store: &Store, limit_bytes: u64) -> Result<Scene, ApiError> {
+    Ok(load_measured(source, store, limit_bytes)?.0)
+}
+
+/// The same, and the bytes that it would take.
+pub fn load_measured(source: &SceneSource, store: &Store, limit_bytes: u64) -> Result<(Scene, u64), ApiError> {
     let scene = read_scene(source, store)?;
     let bytes = working_bytes(&scene);
     if bytes > limit_bytes {
@@ -45,7 +60,7 @@ pub fn load_scene(source: &SceneSource, store: &Store, limit_bytes: u64) -> Resu
         );
         return Err(ApiError::new(Reason::SceneTooLarge, message).with("bytes", bytes).with("limit_bytes", limit_bytes));
     }
-    Ok(scene)
+    Ok((scene, bytes))
 }
 
 fn read_scene(source: &SceneSource, store: &Store) -> Result<Scene, ApiError> {

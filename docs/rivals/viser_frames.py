@@ -1,0 +1,175 @@
+"""What a viewer gets of viser, nerfstudio's server of live views, beside the bench `viewers -- delivery`: the same frames, rendered beforehand.
+
+    python -m venv venv && venv/bin/pip install viser opencv-python-headless
+    lumisphere render --dataset teapot --component mirror --frames 32 --size 640x480 --out frames
+    venv/bin/python docs/rivals/viser_frames.py frames --render-millis R
+
+R is what a frame takes our renderer. Its stand-in sleeps here, one frame at a time, so that viser has the processors to itself. The
+server is used as nerfstudio's viewer uses it: a callback on each new camera sets the client's background image, as JPEG, and flushes. The
+client is a process of its own and speaks viser's protocol (windows of messages, zstd-packed msgpack).
+"""
+
+import argparse
+import asyncio
+import multiprocessing
+import pathlib
+import statistics
+import threading
+import time
+
+import cv2
+import msgspec
+import numpy
+import viser
+import websockets
+import zstandard
+
+PORT = 8199
+QUALITY = 90
+WARM_UP, RUNS = 8, 101
+POSE_SECONDS = 0.016
+
+
+def serve(frames: list, render_seconds: float, ready) -> None:
+    """A frame for each camera; its position's x is the pose's number."""
+    server = viser.ViserServer(host="127.0.0.1", port=PORT, verbose=False)
+    renderer = threading.Lock()
+
+    @server.on_client_connect
+    def _(client) -> None:
+        @client.camera.on_update
+        def _(camera) -> None:
+            frame = frames[int(camera.position[0]) % len(frames)]
+            if render_seconds > 0:
+                with renderer:
+                    time.sleep(render_seconds)
+            client.scene.set_background_image(frame, format="jpeg", jpeg_quality=QUALITY)
+            client.flush()
+
+    ready.set()
+    threading.Event().wait()
+
+
+def pose(number: int) -> bytes:
+    return msgspec.msgpack.encode({
+        "type": "ViewerCameraMessage", "wxyz": (1.0, 0.0, 0.0, 0.0), "position": (float(number), 0.0, 0.0), "fov": 0.7,
+        "near": 0.01, "far": 1000.0, "image_height": 480, "image_width": 640, "look_at": (0.0, 0.0, 0.0), "up_direction": (0.0, 1.0, 0.0),
+    })
+
+
+def pictures(raw: bytes) -> list:
+    """Decoded background images of one window of messages."""
+    packed = int.from_bytes(raw[8:16], "little")
+    inner = msgspec.msgpack.decode(zstandard.ZstdDecompressor().decompress(raw[16:16 + packed]))
+    images = [m["rgb_data"] for m in inner["messages"] if m["type"] == "BackgroundImageMessage" and m["rgb_data"]]
+    return [cv2.imdecode(numpy.frombuffer(image, numpy.uint8), cv2.IMREAD_COLOR) for image in images]
+
+
+def connected():
+    return websockets.connect(
+        f"ws://127.0.0.1:{PORT}", subprotocols=[f"viser-v{viser.__version__}"], compression=None, max_size=None)
+
+
+async def frame(socket) -> None:
+    """Until one has come, decoded."""
+    while True:
+        found = pictures(await socket.recv())
+        if found:
+            assert found[-1].shape == (480, 640, 3)
+            return
+
+
+async def latency() -> None:
+    async with connected() as socket:
+        # The first camera opens the client, only later ones call back.
+        await socket.send(pose(0))
+        await asyncio.sleep(1)
+        millis = []
+        for run in range(WARM_UP + RUNS):
+            begun = time.perf_counter()
+            await socket.send(pose(run + 1))
+            await frame(socket)
+            if run >= WARM_UP:
+                millis.append(1e3 * (time.perf_counter() - begun))
+        millis.sort()
+        print(f"pose to decoded frame: median {statistics.median(millis):.1f} ms, 95 % {millis[int(0.95 * RUNS)]:.1f} ms")
+
+
+async def rate(seconds: float) -> None:
+    """Two poses on their way, as our bench has two credits."""
+    async with connected() as socket:
+        await socket.send(pose(0))
+        await asyncio.sleep(1)
+        await socket.send(pose(1))
+        await socket.send(pose(2))
+        begun, count = time.perf_counter(), 0
+        while time.perf_counter() - begun < seconds:
+            found = pictures(await socket.recv())
+            # Images that another overtook in the server's buffer never come: what is missing is asked for anew.
+            count += len(found)
+            for k in range(len(found)):
+                await socket.send(pose(3 + count + k))
+        print(f"frames a second: {count / (time.perf_counter() - begun):.2f}")
+
+
+def resident_bytes(pid: int) -> int:
+    status = pathlib.Path(f"/proc/{pid}/status").read_text()
+    return 1024 * int(next(line for line in status.splitlines() if line.startswith("VmRSS")).split()[1])
+
+
+async def stall(seconds: float, pid: int) -> None:
+    """A client that sends a pose every 16 ms and reads nothing."""
+    async with connected() as socket:
+        await socket.send(pose(0))
+        await asyncio.sleep(1)
+        # Nothing is taken off the socket.
+        socket.transport.pause_reading()
+        before, begun, number = resident_bytes(pid), time.perf_counter(), 0
+        middle = None
+        while time.perf_counter() - begun < seconds:
+            number += 1
+            try:
+                await asyncio.wait_for(socket.send(pose(number)), 1)
+            except (asyncio.TimeoutError, websockets.ConnectionClosed):
+                print(f"the server takes no more after {number} poses")
+                break
+            await asyncio.sleep(POSE_SECONDS)
+            if middle is None and time.perf_counter() - begun > seconds / 2:
+                middle = resident_bytes(pid)
+        after = resident_bytes(pid)
+        print(f"a client that stalls for {seconds:.0f} s, {number} poses: {(after - before) / 1e6:.1f} MB more, "
+              f"{(after - (middle or after)) / 1e6:.1f} of them in the second half")
+        socket.transport.abort()
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("frames", type=pathlib.Path)
+    parser.add_argument("--render-millis", type=float, default=0.0)
+    parser.add_argument("--seconds", type=float, default=15.0)
+    parser.add_argument("--stall-seconds", type=float, default=60.0)
+    arguments = parser.parse_args()
+    files = sorted(arguments.frames.glob("frame-*.png"))
+    frames = [cv2.cvtColor(cv2.imread(str(f)), cv2.COLOR_BGR2RGB) for f in files]
+    assert frames and frames[0].shape == (480, 640, 3), "640 x 480 frames expected"
+
+    def served(render_millis: float, client) -> None:
+        context = multiprocessing.get_context("spawn")
+        ready = context.Event()
+        process = context.Process(target=serve, args=(frames, render_millis / 1e3, ready), daemon=True)
+        process.start()
+        assert ready.wait(60)
+        try:
+            asyncio.run(client(process.pid))
+        finally:
+            process.kill()
+            process.join()
+
+    print("viser", viser.__version__)
+    served(0.0, lambda pid: latency())
+    served(arguments.render_millis, lambda pid: rate(arguments.seconds))
+    served(0.0, lambda pid: stall(arguments.stall_seconds, pid))
+
+
+if __name__ == "__main__":
+    main()
