@@ -6,6 +6,7 @@ import { read, type Address } from './link';
 import { CallError } from './session';
 import { isKind, KIND_NAMES } from './settings';
 import { Viewer, type Subject } from './viewer';
+import { canDecodeVideo } from './video';
 import { getDataset, serverInfo, type Dataset } from './wire';
 
 interface Page {
@@ -57,7 +58,8 @@ async function follow(): Promise<void> {
 
 /** What the address names, or why it cannot be shown. */
 async function find(address: Address): Promise<Subject> {
-  const [dataset, server] = await Promise.all([named(address.dataset), serverInfo()]);
+  const [dataset, info, canDecode] = await Promise.all([named(address.dataset), serverInfo(), canDecodeVideo()]);
+  const server = { ...info, hasVideo: info.hasVideo && canDecode };
   if (dataset.latestVersion === 0) throw new CallError('refused', `“${dataset.name}” is empty: its first version is not finished.`);
   const { kind } = dataset;
   if (!isKind(kind)) {

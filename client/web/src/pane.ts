@@ -42,7 +42,10 @@ export class Pane {
     delivery: Delivery,
     private readonly listener: PaneListener,
   ) {
-    this.picture = new Picture((message) => listener.rejected(message));
+    this.picture = new Picture(
+      (message) => listener.rejected(message),
+      () => this.session.reconnect(),
+    );
     this.element.append(this.picture.element, this.refining);
     this.setLook(settings, delivery);
     this.session = new Session<Camera, SettingsUpdate, Frame>(

@@ -1,16 +1,19 @@
 /**
  * The frame on the screen: decoded, drawn, and its overlay. One frame is decoded at a time and one waits, the newest: what was overtaken is
- * let go, so that a slow device holds two frames and not a queue.
+ * let go, so that a slow device holds two frames and not a queue. Of a stream all are decoded, since they build on each other.
  */
 import type { Size, Viewpoint } from './camera';
 import { context2d, make } from './dom';
 import { coloured, unpacked, type Overlay } from './provenance';
 import { Warp } from './warp';
-import { mediaType, type Frame } from './wire';
+import { Video } from './video';
+import { isVideo, mediaType, type Frame } from './wire';
 
 /** A frame to be shown and what to do once it is. */
 interface Waiting {
   readonly frame: Frame;
+  /** Of a stream, whose frames are all decoded. */
+  readonly picture: Promise<VideoFrame> | undefined;
   readonly shown: () => void;
 }
 
@@ -24,7 +27,13 @@ export class Picture {
   private warp: Warp | undefined;
   private size: Size = { width: 1, height: 1 };
 
-  constructor(private readonly failed: (message: string) => void) {
+  private readonly video = new Video();
+
+  /** `broken`: a stream that must begin anew. */
+  constructor(
+    private readonly failed: (message: string) => void,
+    private readonly broken: () => void,
+  ) {
     this.element.append(this.canvas, this.overlay);
   }
 
@@ -69,12 +78,17 @@ export class Picture {
 
   close(): void {
     this.setWarp(false);
+    this.video.close();
     this.element.remove();
   }
 
   /** Draws it, unless a newer one comes first. */
   show(frame: Frame, shown: () => void): void {
-    this.waiting = { frame, shown };
+    const picture = isVideo(frame) ? this.video.decode(frame) : undefined;
+    // Heard of where it is drawn, if it is.
+    picture?.catch(() => undefined);
+    void this.waiting?.picture?.then((overtaken) => overtaken.close(), this.broken);
+    this.waiting = { frame, picture, shown };
     if (!this.isDecoding) void this.drain();
   }
 
@@ -83,8 +97,9 @@ export class Picture {
     for (let next = this.waiting; next !== undefined; next = this.waiting) {
       this.waiting = undefined;
       try {
-        await this.draw(next.frame);
+        this.draw(next.frame, await this.bitmap(next));
       } catch (error) {
+        if (next.picture !== undefined) this.broken();
         this.failed(`a frame cannot be shown: ${error instanceof Error ? error.message : String(error)}`);
       }
       next.shown();
@@ -92,9 +107,21 @@ export class Picture {
     this.isDecoding = false;
   }
 
-  private async draw(frame: Frame): Promise<void> {
-    const blob = new Blob([frame.color as Uint8Array<ArrayBuffer>], { type: mediaType(frame) });
-    const bitmap = await createImageBitmap(blob, { colorSpaceConversion: 'none' });
+  private async bitmap({ frame, picture }: Waiting): Promise<ImageBitmap> {
+    if (picture === undefined) {
+      const blob = new Blob([frame.color as Uint8Array<ArrayBuffer>], { type: mediaType(frame) });
+      return createImageBitmap(blob, { colorSpaceConversion: 'none' });
+    }
+    const decoded = await picture;
+    try {
+      // Without the margin to even sides.
+      return await createImageBitmap(decoded, 0, 0, frame.widthPx, frame.heightPx);
+    } finally {
+      decoded.close();
+    }
+  }
+
+  private draw(frame: Frame, bitmap: ImageBitmap): void {
     // A canvas that is set to the size it has is cleared all the same.
     if (this.canvas.width !== this.size.width || this.canvas.height !== this.size.height) {
       this.canvas.width = this.size.width;

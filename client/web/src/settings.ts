@@ -43,6 +43,8 @@ export interface Settings {
 /** How pictures come here: of both halves of a split view. */
 export interface Delivery {
   readonly encoding: string;
+  /** Of the last frame of a viewer at rest: "same" or "png". */
+  readonly atRest: string;
   readonly quality: number;
   /** Picture pixels: of a CSS pixel's side, or 0 for the device's own. */
   readonly scale: number;
@@ -90,7 +92,7 @@ export const DEFAULT_SETTINGS: Settings = {
   overlay: 'none',
 };
 
-export const DEFAULT_DELIVERY: Delivery = { encoding: 'jpeg', quality: 90, scale: 1, rate: 30, warp: 'off' };
+export const DEFAULT_DELIVERY: Delivery = { encoding: 'jpeg', atRest: 'same', quality: 90, scale: 1, rate: 30, warp: 'off' };
 
 const isLightField = (kind: Kind): boolean => kind === 'offset_surface_light_field';
 const showsComponent =
@@ -281,17 +283,28 @@ export const DELIVERY_FIELDS: readonly Field<Delivery>[] = [
     options: [
       ['jpeg', 'JPEG'],
       ['png', 'PNG (lossless)'],
+      ['h264', 'H.264'],
     ],
     applies: () => true,
   },
   {
+    key: 'atRest',
+    label: 'At rest',
+    control: 'choice',
+    options: [
+      ['same', 'the same'],
+      ['png', 'PNG (lossless)'],
+    ],
+    applies: (values) => values.encoding !== 'png',
+  },
+  {
     key: 'quality',
-    label: 'JPEG quality',
+    label: 'Quality',
     control: 'range',
     least: 10,
     most: 100,
     step: 1,
-    applies: (values) => values.encoding === 'jpeg',
+    applies: (values) => values.encoding !== 'png',
   },
   {
     key: 'scale',
@@ -325,6 +338,13 @@ export const DELIVERY_FIELDS: readonly Field<Delivery>[] = [
     applies: () => true,
   },
 ];
+
+/** The same for a server or a browser that has no H.264. */
+export const DELIVERY_FIELDS_WITHOUT_VIDEO: readonly Field<Delivery>[] = DELIVERY_FIELDS.map((field) =>
+  field.key === 'encoding' && field.control === 'choice'
+    ? { ...field, options: field.options.filter(([value]) => value !== 'h264') }
+    : field,
+);
 
 /** The value that a text means for this field; undefined where it means none. */
 export function parsed<T>(field: Field<T>, sample: T[keyof T & string], text: string): string | number | undefined {

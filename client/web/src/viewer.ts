@@ -8,7 +8,15 @@ import { written, type Address, type Split } from './link';
 import { Pane } from './pane';
 import { controls, type Controls } from './panel';
 import type { Phase } from './session';
-import { DELIVERY_FIELDS, SETTING_FIELDS, truthOf, type Delivery, type Kind, type Settings } from './settings';
+import {
+  DELIVERY_FIELDS,
+  DELIVERY_FIELDS_WITHOUT_VIDEO,
+  SETTING_FIELDS,
+  truthOf,
+  type Delivery,
+  type Kind,
+  type Settings,
+} from './settings';
 import { saveStill } from './still';
 import { cameraMessage, type Dataset, type Frame, type ServerInfo } from './wire';
 
@@ -75,6 +83,9 @@ export class Viewer {
     this.bounds = subject.bounds ?? UNKNOWN_BOUNDS;
     this.view = address.viewpoint ?? defaultViewpoint(this.bounds);
     this.address = { ...address, version: subject.version };
+    if (!subject.server.hasVideo && address.delivery.encoding === 'h264') {
+      this.address = { ...this.address, delivery: { ...address.delivery, encoding: 'jpeg' } };
+    }
     this.stage = make(
       'div',
       { class: 'stage', tabindex: 0, role: 'application', 'aria-label': `${subject.dataset.name}, live view`, 'aria-describedby': 'keys' },
@@ -165,7 +176,8 @@ export class Viewer {
   }
 
   private panel(): HTMLElement {
-    const delivery = controls(DELIVERY_FIELDS, this.subject.kind, 'delivery', this.address.delivery, (values) => this.setDelivery(values));
+    const fields = this.subject.server.hasVideo ? DELIVERY_FIELDS : DELIVERY_FIELDS_WITHOUT_VIDEO;
+    const delivery = controls(fields, this.subject.kind, 'delivery', this.address.delivery, (values) => this.setDelivery(values));
     this.fieldOfView.addEventListener('input', () => this.setView(withFieldOfView(this.view, Number(this.fieldOfView.value) * DEGREE)));
     const save = (encoding: 'png' | 'exr'): HTMLElement => button(`Save ${encoding.toUpperCase()}`, {}, () => void this.save(encoding));
     const section = (title: string, ...children: Node[]): HTMLElement => make('section', {}, make('h2', {}, title), ...children);

@@ -55,6 +55,8 @@ export interface ServerInfo {
   readonly maxPixels: number;
   /** The least of several. */
   readonly roundTripMillis: number;
+  /** Whether it sends H.264. */
+  readonly hasVideo: boolean;
 }
 
 /** A call that takes longer has lost its server, and so has a stream that does not begin. */
@@ -95,13 +97,15 @@ export async function getDataset(name: string): Promise<Dataset> {
 export async function serverInfo(): Promise<ServerInfo> {
   return called(async () => {
     const info = await system.getServerInfo({}, { timeoutMs: CALL_TIMEOUT_MILLIS });
+    const { features } = await system.getVersion({}, { timeoutMs: CALL_TIMEOUT_MILLIS });
     let roundTripMillis = Infinity;
     for (let i = 0; i < ROUND_TRIPS; i++) {
       const begin = performance.now();
       await system.measureLink({}, { timeoutMs: CALL_TIMEOUT_MILLIS });
       roundTripMillis = Math.min(roundTripMillis, performance.now() - begin);
     }
-    return { maxPixels: Number(info.limits?.maxPixelsPerFrame ?? 0n), roundTripMillis };
+    const maxPixels = Number(info.limits?.maxPixelsPerFrame ?? 0n);
+    return { maxPixels, roundTripMillis, hasVideo: features.includes('encoding.h264') };
   });
 }
 
@@ -212,6 +216,13 @@ export function mediaType(frame: Frame): string {
   return frame.encoding === Encoding.PNG ? 'image/png' : 'image/jpeg';
 }
 
+/** Whether its colour is no picture by itself, but one of a stream. */
+export function isVideo(frame: Frame): boolean {
+  return frame.encoding === Encoding.H264;
+}
+
+const LIVE_ENCODINGS: Readonly<Record<string, Encoding>> = { jpeg: Encoding.JPEG, png: Encoding.PNG, h264: Encoding.H264 };
+
 const COMPONENTS: Readonly<Record<string, Component>> = {
   reconstruction: Component.RECONSTRUCTION,
   mirror: Component.MIRROR,
@@ -255,7 +266,8 @@ const DEPTH_STEP = 4;
 function liveOutput(settings: Settings, delivery: Delivery): OutputSettings {
   return create(OutputSettingsSchema, {
     ...exposure(settings),
-    encoding: delivery.encoding === 'png' ? Encoding.PNG : Encoding.JPEG,
+    encoding: LIVE_ENCODINGS[delivery.encoding] ?? Encoding.JPEG,
+    encodingAtRest: LIVE_ENCODINGS[delivery.atRest] ?? Encoding.UNSPECIFIED,
     jpegQuality: delivery.quality,
     wantDepth: delivery.warp === 'depth',
     depthFormat: DepthFormat.INVERSE_16,

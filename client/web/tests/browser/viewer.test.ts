@@ -8,6 +8,7 @@ import type { Browser } from 'playwright-core';
 import { afterAll, beforeAll, describe, expect, test } from 'vitest';
 
 import {
+  Encoding,
   OffsetSurfaceLightFieldSettings_Blend as Blend,
   OffsetSurfaceLightFieldSettings_Component as Component,
 } from '../../src/generated/lumisphere/v1alpha1/rendering_pb';
@@ -225,6 +226,29 @@ describe('a person', () => {
     expect(await viewer.differingPixels(png)).toBe(0);
     // OpenEXR's magic number.
     expect((await saved('Save EXR')).subarray(0, 4).toString('hex')).toBe('762f3101');
+  });
+
+  test('is sent H.264 in motion and PNG at rest, both right', async () => {
+    await viewer.becomesStillAfter(() => viewer.field('Encoding').selectOption('h264'));
+    const truth = async (): Promise<Buffer> => {
+      const { camera, settings, output } = viewer.asked();
+      return Buffer.from((await server.renderFrame('patchwork', camera, settings, { ...output, encoding: Encoding.PNG })).color);
+    };
+    // 4:2:0 and quantised; another view is far away.
+    const isVideoOf = async (picture: Uint8Array): Promise<void> => {
+      await expect.poll(async () => viewer.meanDifference(await viewer.picture(), picture), { timeout: 20_000 }).toBeLessThan(3);
+    };
+    await isVideoOf(await truth());
+    const before = await truth();
+    await viewer.becomesStillAfter(() => viewer.drag(90, 10));
+    await isVideoOf(await truth());
+    expect(await viewer.meanDifference(await viewer.picture(), before)).toBeGreaterThan(6);
+    await viewer.screenshot('h264');
+    await viewer.becomesStillAfter(() => viewer.field('At rest').selectOption('png'));
+    await viewer.becomesStillAfter(() => viewer.drag(-30, 5));
+    await expect.poll(async () => viewer.differingPixels(await truth()), { timeout: 20_000 }).toBe(0);
+    await viewer.field('At rest').selectOption('same');
+    await viewer.becomesStillAfter(() => viewer.field('Encoding').selectOption('png'));
   });
 
   test('sees where pixels come from', async () => {
@@ -538,7 +562,8 @@ describe('by keyboard alone', () => {
       'Provenance',
       'Field of view, °',
       'Encoding',
-      'JPEG quality',
+      'At rest',
+      'Quality',
       'Resolution',
       'Frames/s moving',
       'While waiting',

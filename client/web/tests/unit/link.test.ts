@@ -16,7 +16,7 @@ const FULL: Address = {
     brdf: '{"model": "lambert", "albedo": [0.8, 0, 1]} &=#%',
     exposureStops: -1.5,
   },
-  delivery: { encoding: 'png', quality: 55, scale: 0.5, rate: 15, warp: 'depth' },
+  delivery: { encoding: 'png', atRest: 'png', quality: 55, scale: 0.5, rate: 15, warp: 'depth' },
   split: 'wipe',
   other: { ...addressOf('x').other, source: 'truth', truthPasses: 9, component: 'mirror', specularRed: 0.25, overlay: 'samples' },
 };

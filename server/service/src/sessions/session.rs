@@ -284,12 +284,13 @@ impl Session {
                 Ok(wish) => sent - wish.acknowledged,
                 Err(_) => return false,
             };
-            let link = (self.link().places(), self.link().until_begun());
-            match link {
-                (places, Some(until)) if on_their_way + 1 == places && until > Instant::now().into_std() => {
-                    tokio::time::sleep_until(until.into()).await;
-                }
-                _ => return true,
+            let held_until = {
+                let link = self.link();
+                link.until_begun().filter(|until| on_their_way + 1 == link.places() && *until > Instant::now().into_std())
+            };
+            match held_until {
+                Some(until) => tokio::time::sleep_until(until.into()).await,
+                None => return true,
             }
         }
     }
