@@ -6,6 +6,7 @@
 //! - `fairness`: eight viewers beside one: Jain's index at least .95, all together at least .9 of one's frames.
 //! - `link`: the same frames through a proxy of 5 Mbit/s and 100 ms there and back: what a frame waits for others, 95 %, at most its own
 //!   time on the link; at least .8 of the link is used.
+//! - `idle`: what 32 viewers at rest cost: at most a hundredth of a core.
 //! - `soak`: 200 sessions of small frames, one in ten mute, for `SOAK_SECONDS` (600): memory grows by at most 1 MB a minute, nobody
 //!   starves, the mute ones are ended.
 
@@ -63,6 +64,9 @@ fn main() {
         }
         if wants("link") {
             link(&server, &stand).await;
+        }
+        if wants("idle") {
+            idle(&server, &stand).await;
         }
         if wants("soak") {
             soak(&server, &stand).await;
@@ -320,6 +324,23 @@ async fn link(server: &Server, stand: &Stand) {
     );
     bound("a frame waits for others, 95 %, ms, against the interval", wait, interval, wait <= interval);
     bound("of the link used", used, 0.8, used >= 0.8);
+}
+
+async fn idle(server: &Server, stand: &Stand) {
+    let mut viewers = Vec::new();
+    for _ in 0..32 {
+        let mut viewer = Viewer::open(server.rendering().await, *stand, (64, 48), 2).await;
+        viewer.step().await;
+        // Acknowledged; what may come after it is what rest costs.
+        viewer.frame().await.expect("a frame");
+        viewers.push(viewer);
+    }
+    tokio::time::sleep(Duration::from_secs(2)).await;
+    let (before, begun) = (server.cpu_seconds(), Instant::now());
+    tokio::time::sleep(SECONDS).await;
+    let cores = (server.cpu_seconds() - before) / begun.elapsed().as_secs_f64();
+    println!("\nidle: {} viewers at rest", viewers.len());
+    bound("cores", cores, 0.01, cores <= 0.01);
 }
 
 async fn soak(server: &Server, stand: &Stand) {

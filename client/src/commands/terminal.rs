@@ -31,6 +31,8 @@ use steering::{Reaction, Steering, Viewpoint, radius};
 const CREDITS: u32 = 2;
 /// Events that wait while a picture is drawn.
 const WAITING_EVENTS: usize = 256;
+/// Of a picture that is printed: a cell is hundreds of its pixels.
+const MOST_CELLS: u32 = 64_000;
 /// Of a terminal that tells no size, and of a pipe.
 const USUAL_CELLS: Cells = Cells { columns: 80, rows: 24 };
 /// Between attempts to reach a server that is away.
@@ -96,7 +98,8 @@ impl std::str::FromStr for Cells {
     fn from_str(text: &str) -> Result<Self, String> {
         let side = |text: &str| text.parse().ok().filter(|side| (1..=1000).contains(side));
         let cells = text.split_once('x').and_then(|(columns, rows)| Some(Self { columns: side(columns)?, rows: side(rows)? }));
-        cells.ok_or_else(|| "COLUMNSxROWS expected, each 1 to 1000, such as 80x24".to_string())
+        let cells = cells.filter(|cells| u32::from(cells.columns) * u32::from(cells.rows) <= MOST_CELLS);
+        cells.ok_or_else(|| format!("COLUMNSxROWS expected, each 1 to 1000, {MOST_CELLS} together at most, such as 80x24"))
     }
 }
 
@@ -432,7 +435,7 @@ mod tests {
     #[test]
     fn sizes_in_characters_are_parsed_or_refused() {
         assert_eq!("80x24".parse(), Ok(Cells { columns: 80, rows: 24 }));
-        for bad in ["80", "0x1", "1x1001", "x", "80x24x1", "-1x2"] {
+        for bad in ["80", "0x1", "1x1001", "1000x65", "x", "80x24x1", "-1x2"] {
             assert!(bad.parse::<Cells>().is_err(), "{bad}");
         }
     }

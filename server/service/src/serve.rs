@@ -43,6 +43,10 @@ const STREAM_WINDOW_BYTES: u32 = 4 << 20;
 const CONNECTION_WINDOW_BYTES: u32 = 8 << 20;
 /// Metadata of a request.
 const MAX_HEADER_BYTES: u32 = 16 << 10;
+/// Streams that a client opens and resets at once before anyone has looked at them; more end its connection ("rapid reset").
+const MAX_PENDING_RESETS: usize = 32;
+/// Streams of one connection that we reset for what its client sent; more end it.
+const MAX_ERROR_RESETS: usize = 256;
 /// A browser may remember for so long what it may send.
 const PREFLIGHT_AGE: Duration = Duration::from_secs(3600);
 
@@ -80,6 +84,8 @@ pub async fn serve(app: Arc<App>, grace: Duration) -> anyhow::Result<()> {
         .initial_stream_window_size(Some(STREAM_WINDOW_BYTES))
         .initial_connection_window_size(Some(CONNECTION_WINDOW_BYTES))
         .http2_max_header_list_size(Some(MAX_HEADER_BYTES))
+        .http2_max_pending_accept_reset_streams(Some(MAX_PENDING_RESETS))
+        .http2_max_local_error_reset_streams(Some(MAX_ERROR_RESETS))
         .layer(ViewerPage)
         .layer(cors(&app.config.allowed_origins)?)
         .layer(GrpcWebLayer::new())

@@ -3,6 +3,7 @@
 //! A [`Session`] takes messages and shows frames into an outbox; it does not know how either travels. Two transports carry it: `interact`,
 //! one stream each way, ends with its stream; `kept`, calls up and a stream down, is named and outlives its streams for a while.
 
+mod crowd;
 mod interact;
 mod kept;
 mod link;

@@ -16,6 +16,7 @@ use tokio::sync::{OwnedSemaphorePermit, watch};
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 
+use super::crowd::Crowd;
 use super::link::{Link, Size};
 use super::pace::{Pace, Took, share, smaller};
 use super::wish::{Change, Sequences, Wish};
@@ -301,7 +302,7 @@ impl Session {
         let mut wishes = self.wish.subscribe();
         // What an earlier stream showed is shown again.
         let (mut shown, mut owed, mut poses_shown) = (0, Owed::Nothing, self.wish.borrow().poses.saturating_sub(1));
-        let (mut motion, mut expected) = (Motion::default(), None);
+        let (mut motion, mut expected, mut crowd) = (Motion::default(), None, Crowd::default());
         let mut sent_at = Instant::now();
         // Of the wish that was shown last; None also while there is no room for it.
         let mut still: Option<Still> = None;
@@ -384,10 +385,13 @@ impl Session {
             let turn = match rendered {
                 Ok(Rendered { mut frame, all_pages, is_full, still: begun, size, turn }) => {
                     let settled = turn.wish.changed + self.moving.as_ref().map_or(SETTLING, |moving| moving.settling);
+                    let misses = frame.cache.and_then(|cache| cache.adapter).map_or(0, |adapter| adapter.misses);
+                    let has_hope = all_pages || crowd.has_hope(turn.wish.revision, misses);
                     owed = match (is_full, all_pages, &self.moving) {
                         (true, true, _) if turn.wish.settings.passes > 1 => Owed::Passes(settled),
                         (true, true, _) => Owed::Nothing,
                         (false, _, Some(_)) => Owed::FullSize(settled),
+                        _ if !has_hope => Owed::Nothing,
                         _ => Owed::Better,
                     };
                     frame.is_final = owed == Owed::Nothing;
