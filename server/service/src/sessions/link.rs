@@ -30,6 +30,9 @@ pub struct Size {
     pub quality: Option<u8>,
 }
 
+/// A window that is smaller than the credits by so much is so for a full link, not for a frame that was late once or twice.
+const FULL: f32 = 0.25;
+
 /// The way to one viewer.
 #[derive(Debug)]
 pub struct Link {
@@ -114,7 +117,7 @@ impl Link {
         let spacing = at.saturating_duration_since(before).as_secs_f32();
         self.fill(last.is_behind.then(|| latency.saturating_sub(base).as_secs_f32()), spacing / frames);
         // A link that is kept full on purpose hides half of a frame's time from the other rule.
-        let is_full = self.window < self.credits as f32 && last.is_behind;
+        let is_full = self.window < self.credits as f32 - FULL && last.is_behind;
         let begun = (first + base).max(before);
         let size = last.size.filter(|_| !share.is_nan()).map(|size| Size { share, ..size })?;
         Some((size, if is_full { spacing } else { at.saturating_duration_since(begun).as_secs_f32() }))
@@ -227,7 +230,7 @@ mod tests {
                 let way = Way { rtt: millis(rtt), full: millis(160) };
                 let own = 0.16 * share;
                 let fills = 1.0 + 1e-3 * rtt as f32 / own;
-                if (credits as f32) < fills + WAIT {
+                if (credits as f32) <= fills + WAIT + FULL {
                     continue;
                 }
                 let mut link = Link::new(credits);
