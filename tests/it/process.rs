@@ -111,7 +111,8 @@ impl Server {
         fs::write(format!("/proc/{}/clear_refs", self.child.id()), "5").expect("Linux lets the parent do this");
     }
 
-    /// Processor time that it has taken, to a hundredth of a second.
+    /// Processor time that it has taken, to a hundredth of a second: for the benches.
+    #[allow(dead_code)]
     pub fn cpu_seconds(&self) -> f64 {
         let stat = fs::read_to_string(format!("/proc/{}/stat", self.child.id())).expect("the server runs");
         // After the name, which may hold anything: field 3 is the first; 14 and 15 are user's and system's, in hundredths (man 5 proc).

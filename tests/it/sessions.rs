@@ -371,12 +371,22 @@ async fn video_is_one_stream_of_frames_that_build_on_each_other() {
     drop((server, folder));
     // No more encoders than allowed, those of viewers who have left not counted.
     let (_folder, server) = with_dataset_and(&["--max-video-sessions", "1"]).await;
-    let first = Viewer::open_as(&server, open(), Transport::Interact).await.unwrap();
+    let mut first = Viewer::open_as(&server, open(), Transport::Interact).await.unwrap();
     let refused = Viewer::open_as(&server, open(), Transport::Session).await.err().expect("a refusal");
-    assert_eq!(code_and_reason(&refused), (Code::ResourceExhausted, "TOO_MANY_SESSIONS".into()));
+    assert_eq!(code_and_reason(&refused), (Code::FailedPrecondition, "TOO_MANY_VIDEOS".into()));
     let mut other = Viewer::open_as(&server, opening(1), Transport::Interact).await.unwrap();
     let refusal = other.refused(Up::Settings(wire::SettingsUpdate { settings: None, output: Some(video) })).await;
-    assert_eq!(refusal.code, Code::ResourceExhausted as i32, "{refusal:?}");
+    assert_eq!(refusal.reason, "TOO_MANY_VIDEOS", "{refusal:?}");
+    // Who asks for something else, or leaves, gives the place back.
+    let change = |to| Up::Settings(wire::SettingsUpdate { settings: None, output: Some(to) });
+    first.send(change(output(wire::Encoding::Jpeg))).await;
+    let wrong = wire::OutputSettings { jpeg_quality: 101, ..video };
+    // Answered, so that what was sent before has been taken.
+    assert_eq!(first.refused(change(wrong)).await.code, Code::InvalidArgument as i32);
+    let second = Viewer::open_as(&server, open(), Transport::Session).await.unwrap();
+    second.leave().await;
+    let third = Viewer::open_as(&server, open(), Transport::Interact).await.unwrap();
+    third.leave().await;
     first.leave().await;
     other.leave().await;
 }

@@ -138,8 +138,8 @@ pub async fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<()>
     let title = format!("{} v{}", arguments.dataset, version.version);
     let interaction = Interaction::open(context, &server, open.clone()).await?;
     let patience = Duration::from_secs(arguments.patience.into());
-    let reopen = || -> Reopening<'_> { Box::pin(reopen(context, &server, open.clone(), patience)) };
-    Live::begin(arguments, interaction, Steering::new(home, radius(&bounds)), title)?.run(&reopen).await
+    let reopen = |lost| -> Reopening<'_> { Box::pin(reopen(context, &server, open.clone(), lost, patience)) };
+    Live::begin(arguments, interaction, Steering::new(home, radius(&bounds)), title)?.run(patience, &reopen).await
 }
 
 /// What the server would not refuse.
@@ -228,15 +228,28 @@ async fn print_once(
 /// An attempt to open the interaction once more.
 type Reopening<'a> = Pin<Box<dyn Future<Output = anyhow::Result<Interaction>> + 'a>>;
 
-/// Tries until the server is back, or it has been away too long.
-async fn reopen(context: &Context, server: &Server, open: wire::OpenInteraction, patience: Duration) -> anyhow::Result<Interaction> {
-    let lost = Instant::now();
+/// Tries until the server is back, or has been away since `lost` for too long.
+async fn reopen(
+    context: &Context,
+    server: &Server,
+    open: wire::OpenInteraction,
+    lost: Instant,
+    patience: Duration,
+) -> anyhow::Result<Interaction> {
     loop {
+        // A server that takes the stream and ends it at once is not asked all the time either.
+        tokio::time::sleep(PAUSE.min(patience)).await;
         match Interaction::open(context, server, open.clone()).await {
-            Err(error) if is_broken_connection(&error) && lost.elapsed() < patience => tokio::time::sleep(PAUSE).await,
+            Err(error) if goes_away(&error) && lost.elapsed() < patience => {}
             opened => return opened,
         }
     }
+}
+
+/// A broken connection, or the place of the one that broke, which the server has not noticed yet.
+fn goes_away(error: &anyhow::Error) -> bool {
+    let is_full = |status: &tonic::Status| crate::exit::reason(status) == "TOO_MANY_SESSIONS";
+    is_broken_connection(error) || error.downcast_ref::<tonic::Status>().is_some_and(is_full)
 }
 
 /// A viewer at a terminal.
@@ -318,10 +331,12 @@ impl Live {
         Ok(Self { ends, interaction, screen, protocol, answers, cells: cells(), steering, title, pose_id: 0, asked, news })
     }
 
-    async fn run<'a>(mut self, reopen: &dyn Fn() -> Reopening<'a>) -> anyhow::Result<()> {
+    async fn run<'a>(mut self, patience: Duration, reopen: &dyn Fn(Instant) -> Reopening<'a>) -> anyhow::Result<()> {
         let mut events = events();
         // While the connection is lost.
         let mut reopening: Option<Reopening<'a>> = None;
+        // Since the last frame.
+        let mut lost: Option<Instant> = None;
         self.screen.clear()?;
         self.look().await;
         self.show(&[])?;
@@ -346,6 +361,7 @@ impl Live {
                 }
                 answer = self.interaction.next(), if reopening.is_none() => match answer {
                     Ok(Answer::Frame(frame)) => {
+                        lost = None;
                         self.draw(&frame)?;
                         self.interaction.acknowledge(&frame).await;
                     }
@@ -353,8 +369,8 @@ impl Live {
                         self.news = format!("{} ({})", status.message(), crate::exit::code_name(status.code()));
                         self.show(&[])?;
                     }
-                    Err(error) if is_broken_connection(&error) => {
-                        reopening = Some(reopen());
+                    Err(error) if goes_away(&error) && lost.is_none_or(|lost| lost.elapsed() < patience) => {
+                        reopening = Some(reopen(*lost.get_or_insert_with(Instant::now)));
                         self.news = "reconnecting".into();
                         self.show(&[])?;
                     }

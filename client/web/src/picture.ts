@@ -17,6 +17,8 @@ interface Waiting {
   readonly shown: () => void;
 }
 
+const MOST_BROKEN_STREAMS = 3;
+
 export class Picture {
   readonly element = make('div', { class: 'picture' });
   readonly canvas = make('canvas', { class: 'frame' });
@@ -28,6 +30,8 @@ export class Picture {
   private size: Size = { width: 1, height: 1 };
 
   private readonly video = new Video();
+  /** In a row. */
+  private brokenStreams = 0;
 
   /** `broken`: a stream that must begin anew. */
   constructor(
@@ -85,11 +89,24 @@ export class Picture {
   /** Draws it, unless a newer one comes first. */
   show(frame: Frame, shown: () => void): void {
     const picture = isVideo(frame) ? this.video.decode(frame) : undefined;
-    // Heard of where it is drawn, if it is.
-    picture?.catch(() => undefined);
-    void this.waiting?.picture?.then((overtaken) => overtaken.close(), this.broken);
+    picture?.then(
+      () => (this.brokenStreams = 0),
+      () => this.beginAnew(),
+    );
+    // Its error has been heard of.
+    void this.waiting?.picture?.then(
+      (overtaken) => overtaken.close(),
+      () => undefined,
+    );
     this.waiting = { frame, picture, shown };
     if (!this.isDecoding) void this.drain();
+  }
+
+  /** A browser that says it can and cannot is not asked for ever. */
+  private beginAnew(): void {
+    this.brokenStreams++;
+    if (this.brokenStreams <= MOST_BROKEN_STREAMS) this.broken();
+    else this.failed('this browser cannot decode the H.264 that comes; choose another encoding');
   }
 
   private async drain(): Promise<void> {
@@ -99,7 +116,6 @@ export class Picture {
       try {
         this.draw(next.frame, await this.bitmap(next));
       } catch (error) {
-        if (next.picture !== undefined) this.broken();
         this.failed(`a frame cannot be shown: ${error instanceof Error ? error.message : String(error)}`);
       }
       next.shown();

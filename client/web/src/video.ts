@@ -25,14 +25,16 @@ export class Video {
     const { decoder } = this;
     if (decoder === undefined) return Promise.reject(new Error('frames before this one are missing'));
     return new Promise((resolve, reject) => {
-      this.awaited.push({ resolve, reject });
       const type = frame.isKey ? 'key' : 'delta';
       decoder.decode(new EncodedVideoChunk({ type, timestamp: Number(frame.frameId), data: frame.color as Uint8Array<ArrayBuffer> }));
+      this.awaited.push({ resolve, reject });
     });
   }
 
+  /** Nobody waits any more. */
   close(): void {
-    this.fail(new Error('the picture is closed'));
+    this.awaited = [];
+    this.fail(new Error('closed'));
   }
 
   private opened(): VideoDecoder {

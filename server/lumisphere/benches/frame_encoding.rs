@@ -39,7 +39,7 @@ fn main() {
     measure("raw interleaved f32", || frame.to_interleaved_bytes());
 
     let exr = encode_exr_rgb(&frame, ExrStorage::Half).expect("three planes");
-    let limits = lumisphere::images::ReadLimits::SCENE;
+    let limits = ReadLimits::SCENE;
     measure("decode EXR half ZIP", || decode_exr(&exr, limits).expect("our own file").layers);
     let mut other = frame.clone();
     other.planes[0].rotate_right(1);

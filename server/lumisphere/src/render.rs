@@ -238,6 +238,7 @@ impl Renderer {
             device.release_dropped();
         }
         let (pixels, gpu) = outcome?;
+        side.device.has_worked();
         let stats = FrameStats {
             backend: Backend::Gpu,
             fallback: None,

@@ -7,6 +7,8 @@ use crate::frames::compressed;
 
 /// Most columns, and rows, of which one is told.
 pub const MAX_STEP: u32 = 16;
+/// Eight bits and more are left for the half of the distances that is nearer than the median.
+const LEAST_OF_MEDIAN: f32 = 1.0 / 256.0;
 
 /// What is told of them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -49,8 +51,7 @@ impl DepthPlane {
         let (bytes, nearest) = match self.format {
             DepthFormat::Float32 => (compressed(picked.iter().map(|v| v.to_le_bytes()))?, 0.0),
             DepthFormat::Inverse16 => {
-                let nearest = picked.iter().copied().filter(|d| *d > 0.0 && d.is_finite()).fold(f32::INFINITY, f32::min);
-                let nearest = if nearest.is_finite() { nearest } else { 0.0 };
+                let nearest = nearest(&picked);
                 (compressed(picked.iter().map(|d| inverse(*d, nearest).to_le_bytes()))?, nearest)
             }
         };
@@ -64,8 +65,22 @@ impl DepthPlane {
     }
 }
 
+/// Of what was hit, but no less than a part of the median: a grain of dust before the camera does not take the codes from all else. 0 for none.
+fn nearest(distances: &[f32]) -> f32 {
+    let mut hit: Vec<f32> = distances.iter().copied().filter(|d| *d > 0.0 && d.is_finite()).collect();
+    let middle = hit.len() / 2;
+    if hit.is_empty() {
+        return 0.0;
+    }
+    let (before, median, _) = hit.select_nth_unstable_by(middle, f32::total_cmp);
+    before.iter().copied().fold(*median, f32::min).max(LEAST_OF_MEDIAN * *median)
+}
+
+/// 0 for what was not hit; what is nearer than the nearest, being closer than that to the camera or in it, is as near.
 fn inverse(distance: f32, nearest: f32) -> u16 {
-    // A distance of 0 would be nearer than all; nothing is.
+    if !(distance >= 0.0 && nearest > 0.0) {
+        return 0;
+    }
     (f32::from(u16::MAX) * (nearest / distance).min(1.0)).round() as u16
 }
 
@@ -120,7 +135,14 @@ mod tests {
         assert_eq!((encoded.width_px, encoded.height_px, encoded.nearest), (2, 1, 0.0));
         assert_eq!(words::<2>(&encoded), [[0, 0]; 2]);
         // A camera inside a surface.
-        let encoded = DepthPlane { format: DepthFormat::Inverse16, step: 1 }.encode(&[0.0, 2.0], 2).unwrap();
+        let inverse = DepthPlane { format: DepthFormat::Inverse16, step: 1 };
+        let encoded = inverse.encode(&[0.0, 2.0], 2).unwrap();
         assert_eq!((words(&encoded), encoded.nearest), (vec![u16::MAX.to_le_bytes(); 2], 2.0));
+        // What is no distance is none, and dust takes nothing from what is behind it.
+        let encoded = inverse.encode(&[f32::NAN, -1.0, 1e-6, 256.0, 256.0], 5).unwrap();
+        let codes: Vec<u16> = words(&encoded).into_iter().map(u16::from_le_bytes).collect();
+        assert_eq!((codes, encoded.nearest), (vec![0, 0, u16::MAX, 256, 256], 1.0));
+        let encoded = inverse.encode(&[0.0, f32::INFINITY], 2).unwrap();
+        assert_eq!((words::<2>(&encoded), encoded.nearest), (vec![[0, 0]; 2], 0.0));
     }
 }

@@ -107,6 +107,7 @@ pub fn code_of(reason: Reason) -> Code {
         | Reason::FormatTooNew
         | Reason::NoGpu
         | Reason::SceneUnknown
+        | Reason::TooManyVideos
         | Reason::InteractionOrder => Code::FailedPrecondition,
         Reason::DatasetBusy | Reason::RecordingBusy | Reason::ReplayBusy | Reason::SessionTakenOver => Code::Aborted,
         Reason::BlobHashMismatch | Reason::DataCorrupt => Code::DataLoss,

@@ -21,7 +21,7 @@ use crate::prefetch::Expected;
 use crate::render_queue::{Idle, Priority, QueueError, RenderQueue, Rendered};
 use crate::still::{Held, Rooms, Still};
 use crate::telemetry::Metrics;
-use crate::video::{Encoded, Video};
+use crate::video::Video;
 use crate::wire::cache::GpuTier;
 use crate::wire::frames::{EncodedFrame, cache_use};
 use crate::wire::settings::{Encoding, Output, RenderSettings};
@@ -63,6 +63,17 @@ pub struct FrameOrder {
     pub passes: u32,
     /// Which it goes on with, where its encoding is H.264.
     pub video: Option<VideoStream>,
+}
+
+/// A frame's colour.
+#[derive(Debug)]
+pub struct Encoded {
+    /// As the encoding says.
+    pub bytes: Vec<u8>,
+    /// Whether it can be decoded without the frames before.
+    pub is_key: bool,
+    /// In its stream, from 1; 0 for what is none.
+    pub number: u64,
 }
 
 /// Of one viewer, one frame after the other.
@@ -419,7 +430,7 @@ fn encode(still: &mut Still, metrics: &Metrics) -> Result<EncodedFrame, ApiError
     let (pixels, output) = (still.pixels(), still.order.output);
     let (all_pages, is_final) = (pixels.is_final, pixels.is_final && still.is_done());
     let encoding = output.encoding_at_rest.filter(|_| is_final).unwrap_or(output.encoding);
-    let Encoded { bytes, is_key } = encode_color(still, encoding)?;
+    let Encoded { bytes, is_key, number } = encode_color(still, encoding)?;
     let color = Bytes::from(bytes);
     let width = still.order.camera.intrinsics().width_px;
     let depth = output.depth.zip(pixels.depth.as_deref()).map(|(plane, distances)| plane.encode(distances, width));
@@ -449,6 +460,7 @@ fn encode(still: &mut Still, metrics: &Metrics) -> Result<EncodedFrame, ApiError
         all_pages,
         passes_done: still.passes(),
         is_key,
+        stream_number: number,
     })
 }
 
@@ -456,7 +468,9 @@ fn encode(still: &mut Still, metrics: &Metrics) -> Result<EncodedFrame, ApiError
 fn encode_color(still: &Still, encoding: Encoding) -> Result<Encoded, ApiError> {
     let failed = |e: lumisphere::images::ImageError| ApiError::internal(format!("cannot encode a frame: {e}"));
     let encoded = match encoding {
-        Encoding::RawZstd => return Ok(Encoded { bytes: compressed(still.pixels().color.iter().map(|v| v.to_le_bytes()))?, is_key: true }),
+        Encoding::RawZstd => {
+            return Ok(Encoded { bytes: compressed(still.pixels().color.iter().map(|v| v.to_le_bytes()))?, is_key: true, number: 0 });
+        }
         Encoding::Exr => encode_exr_rgb(&color_image(still), ExrStorage::Float),
         Encoding::Png { tone_map } => tone_mapped(&color_image(still), tone_map).and_then(|i| encode_png(&i)),
         Encoding::Jpeg { quality, tone_map } => tone_mapped(&color_image(still), tone_map).and_then(|i| encode_jpeg(&i, quality)),
@@ -466,7 +480,7 @@ fn encode_color(still: &Still, encoding: Encoding) -> Result<Encoded, ApiError> 
             return video.lock().unwrap_or_else(PoisonError::into_inner).encode(&image, quality);
         }
     };
-    Ok(Encoded { bytes: encoded.map_err(failed)?, is_key: true })
+    Ok(Encoded { bytes: encoded.map_err(failed)?, is_key: true, number: 0 })
 }
 
 /// One zstd frame of little-endian words.

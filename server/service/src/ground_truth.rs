@@ -86,7 +86,7 @@ impl Tracers {
             settings: &order.settings.settings,
             pass,
             paths_per_pixel: truth.paths_per_pixel,
-            outputs: Outputs { depth: order.output.depth, provenance: order.output.provenance },
+            outputs: Outputs { depth: order.output.depth.is_some(), provenance: order.output.provenance },
         };
         let kept = self.kept.back().expect("the scene was made ready");
         let pixels = self.pool.install(|| kept.passes.trace(&pass, &order.camera, abandoned)).map_err(refused)?;

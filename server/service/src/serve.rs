@@ -53,6 +53,10 @@ const PREFLIGHT_AGE: Duration = Duration::from_secs(3600);
 /// Serves until a signal, then drains for at most `grace`.
 pub async fn serve(app: Arc<App>, grace: Duration) -> anyhow::Result<()> {
     let signals = StopSignals::install().context("cannot take signals")?;
+    let mut builder = Server::builder();
+    if let Some(files) = &app.config.tls {
+        builder = builder.tls_config(tls(files)?).with_context(|| format!("tls_certificate {}", files.certificate.display()))?;
+    }
     let grpc = bind(app.config.listen_address).await?;
     let http = bind(app.config.http_address).await?;
     warn_of_open_port(grpc.local_addr()?, app.config.tls.is_some());
@@ -72,10 +76,6 @@ pub async fn serve(app: Arc<App>, grace: Duration) -> anyhow::Result<()> {
     };
     // tonic leaves these to whoever brings the listener.
     let incoming = TcpIncoming::from(grpc).with_nodelay(Some(true)).with_keepalive(Some(KEEPALIVE_INTERVAL));
-    let mut builder = Server::builder();
-    if let Some(files) = &app.config.tls {
-        builder = builder.tls_config(tls(files)?).with_context(|| format!("tls_certificate {}", files.certificate.display()))?;
-    }
     let grpc_served = builder
         .accept_http1(true)
         .http2_keepalive_interval(Some(KEEPALIVE_INTERVAL))

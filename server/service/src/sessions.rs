@@ -8,6 +8,7 @@ mod interact;
 mod kept;
 mod link;
 mod pace;
+mod seat;
 mod session;
 mod wish;
 

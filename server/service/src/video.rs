@@ -4,6 +4,9 @@
 //! Baseline profile, 4:2:0, BT.601 coefficients in the limited range over BT.709's primaries and sRGB's curve, which the stream says, too;
 //! Annex B, an access unit a frame, no frame held back.
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
 use lumisphere::images::{JpegQuality, Rgb8};
 use openh264::OpenH264API;
 use openh264::encoder::{
@@ -12,37 +15,33 @@ use openh264::encoder::{
 use openh264::formats::{RgbSliceU8, YUVBuffer};
 
 use crate::errors::ApiError;
+use crate::frames::Encoded;
 
 /// Smaller ones are, too: they get a margin.
 const LEAST_SIDE_PX: usize = 16;
 /// Quality is what bounds the bytes, not this.
 const BITS_PER_SECOND: u32 = 200_000_000;
 
+/// In the place of the number of the frame that was sent last.
+pub const NONE_SENT: u64 = 0;
+
 /// The stream so far.
-#[derive(Default)]
 pub struct Video {
     encoder: Option<(u8, Encoder)>,
-    /// The last frame was encoded, but has not been sent.
-    is_unsent: bool,
-}
-
-/// A frame of the stream.
-#[derive(Debug)]
-pub struct Encoded {
-    /// An access unit; `image` in its upper left corner, the margin to even sides repeats its edge.
-    pub bytes: Vec<u8>,
-    /// Whether it can be decoded alone.
-    pub is_key: bool,
+    /// Number of the frame that was encoded last; they count from 1.
+    encoded: u64,
+    /// Of the one that was sent last.
+    sent: Arc<AtomicU64>,
 }
 
 impl Video {
-    /// Nothing seen of it; None in a server that is built without.
+    /// Nothing seen of it. `sent` holds the number of the frame that was sent last. None in a server that is built without.
     #[allow(clippy::unnecessary_wraps)]
-    pub fn new() -> Option<Self> {
-        Some(Self::default())
+    pub fn new(sent: Arc<AtomicU64>) -> Option<Self> {
+        Some(Self { encoder: None, encoded: NONE_SENT, sent })
     }
 
-    /// The next frame.
+    /// The next frame: `image` in the upper left corner of an access unit, the margin to even sides repeats its edge.
     pub fn encode(&mut self, image: &Rgb8, quality: JpegQuality) -> Result<Encoded, ApiError> {
         let failed = |error: openh264::Error| ApiError::internal(format!("cannot encode a frame as H.264: {error}"));
         let quality = quality.value();
@@ -50,24 +49,16 @@ impl Video {
             Some((_, encoder)) => encoder,
             None => Encoder::with_api_config(OpenH264API::from_source(), configuration(quality)).map_err(failed)?,
         };
-        if self.is_unsent {
+        // It would build on a frame that nobody has.
+        if self.encoded > NONE_SENT && self.sent.load(Ordering::SeqCst) != self.encoded {
             encoder.force_intra_frame();
         }
         let (pixels, sides) = padded(image);
         let stream = encoder.encode(&YUVBuffer::from_rgb8_source(RgbSliceU8::new(&pixels, sides))).map_err(failed)?;
-        let encoded = Encoded { is_key: stream.frame_type() == FrameType::IDR, bytes: stream.to_vec() };
-        (self.encoder, self.is_unsent) = (Some((quality, encoder)), true);
+        self.encoded += 1;
+        let encoded = Encoded { is_key: stream.frame_type() == FrameType::IDR, bytes: stream.to_vec(), number: self.encoded };
+        self.encoder = Some((quality, encoder));
         Ok(encoded)
-    }
-
-    /// The frame encoded last is on its way.
-    pub fn sent(&mut self) {
-        self.is_unsent = false;
-    }
-
-    /// Whoever decodes from now on has seen nothing.
-    pub fn begin_anew(&mut self) {
-        self.is_unsent = true;
     }
 }
 
@@ -118,6 +109,12 @@ mod tests {
         Rgb8 { width, height, bytes: (0..width * height).flat_map(pixel).collect() }
     }
 
+    /// The stream, and the number of the frame that was sent last.
+    fn stream() -> (Video, Arc<AtomicU64>) {
+        let sent = Arc::new(AtomicU64::new(NONE_SENT));
+        (Video::new(sent.clone()).unwrap(), sent)
+    }
+
     fn quality(quality: u8) -> JpegQuality {
         JpegQuality::new(quality).unwrap()
     }
@@ -142,11 +139,11 @@ mod tests {
     #[test]
     fn every_frame_is_decoded_at_once_and_shows_its_picture() {
         for (width, height) in [(64, 48), (133, 57), (33, 17), (640, 480)] {
-            let (mut video, mut decoder) = (Video::default(), Decoder::new().unwrap());
+            let ((mut video, sent), mut decoder) = (stream(), Decoder::new().unwrap());
             for step in 0..5 {
                 let image = picture(width, height, step);
                 let encoded = video.encode(&image, quality(90)).unwrap();
-                video.sent();
+                sent.store(encoded.number, Ordering::SeqCst);
                 assert_eq!(encoded.is_key, step == 0, "{width} x {height}, frame {step}");
                 let shown = decoded(&mut decoder, &encoded, &image);
                 let error = difference(&shown, &image);
@@ -159,32 +156,36 @@ mod tests {
 
     #[test]
     fn a_lost_frame_another_size_and_another_quality_begin_anew() {
-        let (mut video, mut decoder) = (Video::default(), Decoder::new().unwrap());
+        let ((mut video, sent), mut decoder) = (stream(), Decoder::new().unwrap());
         let mut shown = |video: &mut Video, step, width, q| {
             let image = picture(width, 48, step);
             let encoded = video.encode(&image, quality(q)).unwrap();
             assert!(difference(&decoded(&mut decoder, &encoded, &image), &image) < 8.0, "frame {step}");
-            video.sent();
+            sent.store(encoded.number, Ordering::SeqCst);
             encoded.is_key
         };
         assert!(shown(&mut video, 0, 64, 90) && !shown(&mut video, 1, 64, 90));
-        // Encoded, but never sent.
+        // Encoded, but never sent; nor is the next, which is encoded before another is sent.
         let lost = video.encode(&picture(64, 48, 2), quality(90)).unwrap();
         assert!(!lost.is_key);
+        assert!(shown(&mut video, 3, 64, 90));
+        let late = sent.load(Ordering::SeqCst);
+        assert!(!video.encode(&picture(64, 48, 2), quality(90)).unwrap().is_key);
+        sent.store(late, Ordering::SeqCst);
         assert!(shown(&mut video, 3, 64, 90) && !shown(&mut video, 4, 64, 90));
         assert!(shown(&mut video, 5, 80, 90) && !shown(&mut video, 6, 80, 90));
         assert!(shown(&mut video, 7, 80, 60) && !shown(&mut video, 8, 80, 60));
-        video.begin_anew();
+        sent.store(NONE_SENT, Ordering::SeqCst);
         assert!(shown(&mut video, 9, 80, 60));
     }
 
     #[test]
     fn less_quality_takes_fewer_bytes_and_motion_fewer_than_a_key_frame() {
         let bytes = |q: u8| {
-            let mut video = Video::default();
+            let (mut video, sent) = stream();
             let mut encode = |step| {
                 let encoded = video.encode(&picture(640, 480, step), quality(q)).unwrap();
-                video.sent();
+                sent.store(encoded.number, Ordering::SeqCst);
                 encoded.bytes.len()
             };
             [encode(0), encode(1)]

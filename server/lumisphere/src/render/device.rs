@@ -21,7 +21,7 @@ struct State {
     gpu: Arc<Gpu>,
     /// Those before it.
     replaced: u64,
-    /// After a failed attempt.
+    /// After one, until a frame was computed.
     next_attempt: Option<Instant>,
     patience: Duration,
 }
@@ -64,17 +64,18 @@ impl OpenDevice {
         if state.next_attempt.is_some_and(|at| now < at) {
             return Err(GpuError::Failed { reason: "the device was lost and could not be opened again yet".into() });
         }
-        match (self.open)() {
-            Ok(gpu) => {
-                *state = State { gpu: Arc::new(gpu), replaced: state.replaced + 1, next_attempt: None, patience: PATIENCE.0 };
-                Ok(Device { gpu: state.gpu.clone(), is_new: true })
-            }
-            Err(error) => {
-                state.next_attempt = Some(now + state.patience);
-                state.patience = (2 * state.patience).min(PATIENCE.1);
-                Err(error)
-            }
-        }
+        // One that opens and is lost again with the first frame is not tried all the time either.
+        state.next_attempt = Some(now + state.patience);
+        state.patience = (2 * state.patience).min(PATIENCE.1);
+        state.gpu = Arc::new((self.open)()?);
+        state.replaced += 1;
+        Ok(Device { gpu: state.gpu.clone(), is_new: true })
+    }
+
+    /// A frame was computed on it.
+    pub fn has_worked(&self) {
+        let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+        (state.next_attempt, state.patience) = (None, PATIENCE.0);
     }
 }
 
@@ -102,7 +103,11 @@ mod tests {
         let second = device.working().unwrap();
         assert!(second.is_new && !second.gpu.is_lost() && !Arc::ptr_eq(&first.gpu, &second.gpu));
         assert!(!device.working().unwrap().is_new);
+        // Lost before it computed anything: not at once again.
         second.gpu.lose();
+        assert!(matches!(device.working(), Err(GpuError::Failed { .. })));
+        assert_eq!(attempts.load(Ordering::SeqCst), 2);
+        device.has_worked();
         // The third attempt fails; the fourth has to wait.
         assert_eq!(device.working().err(), Some(GpuError::NoAdapter { reason: "taken away".into() }));
         assert!(matches!(device.working(), Err(GpuError::Failed { .. })));

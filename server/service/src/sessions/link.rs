@@ -3,8 +3,8 @@
 //!
 //! The link is a queue: a frame is on it from when it was sent, or the one before had arrived, until it arrives. Acknowledgements come a
 //! round trip late, all alike, so that frame i took  ack_i − max(ack_{i−1}, sent_i + base), where base is the least time from sending to
-//! acknowledgement that was seen lately (BBR's minimum filter; Cardwell et al. 2016). A base has its own frame in it, so that a link with
-//! room to spare takes no time at all, and one that is full takes a frame's as soon as another frame waits before it.
+//! acknowledgement that was seen lately (BBR's minimum filter; Cardwell et al. 2016). A base has a frame in it, so that for frames of one size
+//! a link with room to spare takes no time at all, and one that is full takes a frame's as soon as another frame waits before it.
 //!
 //! More frames on their way than fill it make each wait for those before it, and its pose grow old. So of a viewer's credits as many are used
 //! as let a frame wait for [`WAIT`] of the time between two (Vegas' rule, Brakmo and Peterson 1995, with a window of parts of frames): the
@@ -30,8 +30,13 @@ pub struct Size {
     pub quality: Option<u8>,
 }
 
-/// A window that is smaller than the credits by so much is so for a full link, not for a frame that was late once or twice.
+/// A window that is smaller than the credits by so much, and a frame that waited for so much of the time between two, say that the link is
+/// full, not that a frame was late once or twice.
 const FULL: f32 = 0.25;
+/// A longer wait, in the time between two frames, says no more: one late frame must not empty the window.
+const LONGEST_WAIT: f32 = 2.0;
+/// Weight of the newest time between two frames in their mean.
+const NEWEST: f32 = 0.25;
 
 /// The way to one viewer.
 #[derive(Debug)]
@@ -48,6 +53,8 @@ pub struct Link {
     /// Of this window and of the one before it.
     least: [Option<Duration>; 2],
     in_window: u32,
+    /// Of frames as large as the last one.
+    least_of_size: Option<(Option<Size>, Duration)>,
     /// Until a frame finds the link empty, and the least time is that of one that waits for none.
     is_draining: bool,
 }
@@ -72,6 +79,7 @@ impl Link {
             last_acknowledged: None,
             least: [None; 2],
             in_window: 0,
+            least_of_size: None,
             is_draining: false,
         }
     }
@@ -96,6 +104,9 @@ impl Link {
     pub fn sent(&mut self, frame_id: u64, size: Option<Size>, at: Instant) {
         let is_behind = !self.on_their_way.is_empty();
         self.is_draining &= is_behind;
+        // The next one, which has the link for itself, tells what frames of this size take.
+        let is_as_before = self.on_their_way.back().is_none_or(|before| before.size == size);
+        self.is_draining |= !is_as_before && self.window < self.credits as f32;
         self.on_their_way.push_back(Sent { frame_id, size, at, is_behind });
     }
 
@@ -113,21 +124,41 @@ impl Link {
         let (first, last) = (first?, last?);
         let latency = at.saturating_duration_since(last.at);
         let base = self.note(latency);
-        let before = self.last_acknowledged.replace(at).unwrap_or(first);
+        let least = self.note_of_size(last.size, latency);
+        // A pause is not the link's.
+        let before = self.last_acknowledged.replace(at).unwrap_or(first).max(first);
         let spacing = at.saturating_duration_since(before).as_secs_f32();
-        self.fill(last.is_behind.then(|| latency.saturating_sub(base).as_secs_f32()), spacing / frames);
+        let waited = self.fill(last.is_behind.then(|| latency.saturating_sub(least).as_secs_f32()), spacing / frames);
         // A link that is kept full on purpose hides half of a frame's time from the other rule.
-        let is_full = self.window < self.credits as f32 - FULL && last.is_behind;
+        let is_full = self.window < self.credits as f32 - FULL && waited > FULL;
         let begun = (first + base).max(before);
         let size = last.size.filter(|_| !share.is_nan()).map(|size| Size { share, ..size })?;
         Some((size, if is_full { spacing } else { at.saturating_duration_since(begun).as_secs_f32() }))
     }
 
-    /// `wait`: of a frame behind others, seconds.
-    fn fill(&mut self, wait: Option<f32>, spacing: f32) {
-        let waited = wait.filter(|_| spacing > 0.0).map_or(0.0, |wait| (wait / spacing).min(self.credits as f32));
+    /// `wait`: of a frame behind others, seconds. Its part of the time between two frames, of which this is one.
+    fn fill(&mut self, wait: Option<f32>, spacing: f32) -> f32 {
+        let Some(wait) = wait else {
+            // Nothing was before it: there is room.
+            self.spacing = 0.0;
+            self.window = (self.window + GAIN * WAIT).min(self.credits as f32);
+            return 0.0;
+        };
+        // Acknowledgements that come together say little one by one.
+        self.spacing = if self.spacing > 0.0 { self.spacing + NEWEST * (spacing - self.spacing) } else { spacing };
+        let waited = if self.spacing > 0.0 { (wait / self.spacing).min(LONGEST_WAIT) } else { 0.0 };
         self.window = (self.window + GAIN * (WAIT - waited)).clamp(1.0, self.credits as f32);
-        self.spacing = if wait.is_some() { spacing } else { 0.0 };
+        waited
+    }
+
+    /// The least time there and back since frames have this size, this one included.
+    fn note_of_size(&mut self, size: Option<Size>, latency: Duration) -> Duration {
+        let least = match self.least_of_size {
+            Some((known, least)) if known == size && self.in_window > 1 => least.min(latency),
+            _ => latency,
+        };
+        self.least_of_size = Some((size, least));
+        least
     }
 
     /// The least time there and back of late, this one included.
@@ -278,6 +309,34 @@ mod tests {
         assert_eq!(link.acknowledged(2, start + millis(900)), None);
         link.sent(3, Some(of(0.1)), start + millis(1000));
         assert_eq!(link.acknowledged(3, start + millis(1900)), Some((of(0.1), 0.0)));
+    }
+
+    #[test]
+    fn a_pause_is_not_the_links_and_one_late_acknowledgement_does_not_empty_the_window() {
+        let start = Instant::now();
+        let mut link = Link::new(4);
+        // Full for a while: a frame every 40 ms, each behind another.
+        for frame_id in 1..=200 {
+            link.sent(frame_id, Some(of(1.0)), start + millis(40 * frame_id));
+            if frame_id > 3 {
+                link.acknowledged(frame_id - 3, start + millis(40 * frame_id));
+            }
+        }
+        let before = link.window;
+        // A minute later two frames are acknowledged at once.
+        let later = start + millis(68_000);
+        link.sent(201, Some(of(1.0)), later);
+        link.sent(202, Some(of(1.0)), later + millis(1));
+        let (_, seconds) = link.acknowledged(202, later + millis(160)).unwrap();
+        assert!(seconds < 0.2, "{seconds} s");
+        assert!(link.until_begun().unwrap() < later + millis(400));
+        assert!(link.window > before - 0.2, "{before} {}", link.window);
+        // And two within a microsecond.
+        link.sent(203, Some(of(1.0)), later + millis(200));
+        link.sent(204, Some(of(1.0)), later + millis(240));
+        link.acknowledged(203, later + millis(360));
+        link.acknowledged(204, later + millis(360) + Duration::from_micros(1));
+        assert!(link.window > before - 0.4, "{before} {}", link.window);
     }
 
     #[test]

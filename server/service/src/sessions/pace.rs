@@ -74,7 +74,7 @@ impl Pace {
         if asked.unwrap_or(u8::MAX) != self.qualities[0] {
             let lesser = asked.map(|asked| LESSER_QUALITIES.into_iter().filter(move |lesser| *lesser < asked));
             self.qualities = std::iter::once(asked.unwrap_or(u8::MAX)).chain(lesser.into_iter().flatten()).collect();
-            // What was measured was of frames of another encoding.
+            // What was measured was of frames of other qualities.
             (self.step, self.link) = (0, Mean::default());
         }
         asked.map(|_| self.qualities[self.step])

@@ -12,6 +12,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use lumisphere::geometry::Camera;
+use lumisphere::render::Refine;
 use tokio::sync::{OwnedSemaphorePermit, watch};
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
@@ -19,19 +20,18 @@ use tokio_util::sync::CancellationToken;
 use super::crowd::Crowd;
 use super::link::{Link, Size};
 use super::pace::{Pace, Took, share, smaller};
+use super::seat::Seat;
 use super::wish::{Change, Sequences, Wish};
 use super::{Outbox, OutboxPlace, Stage, response, status};
 use crate::api::blocking;
 use crate::catalog::OpenedVersion;
 use crate::config::BackendChoice;
 use crate::errors::{ApiError, Reason};
-use crate::frames::VideoStream;
 use crate::ground_truth::check_truth;
 use crate::prefetch::{Expected, Motion};
 use crate::render_queue::Priority;
 use crate::still::Still;
-use crate::video::Video;
-use crate::wire::frames::FrameIdentity;
+use crate::wire::frames::{EncodedFrame, FrameIdentity};
 use crate::wire::settings::{Delivery, Encoding, Output, check_kind, encoding_number, output, render_settings};
 use crate::wire::{self, proto};
 use proto::interact_response::Message as Down;
@@ -61,16 +61,12 @@ pub struct Session {
     /// How the frames come to the viewer.
     link: Mutex<Link>,
     /// Of a viewer that was ever sent H.264.
-    video: Arc<Mutex<Option<Seat>>>,
+    seat: Seat,
+    /// Held while an update is taken: a place that one wish needs is not given back for another.
+    taking: Mutex<()>,
     /// None for a viewer that is always shown the full size.
     moving: Option<Arc<Moving>>,
     _room: OwnedSemaphorePermit,
-}
-
-/// One of few.
-struct Seat {
-    video: VideoStream,
-    _place: OwnedSemaphorePermit,
 }
 
 /// Of a viewer that asked for a rate while it moves.
@@ -105,17 +101,24 @@ struct Turn {
     is_at_rest: bool,
 }
 
+/// A frame to be sent.
+struct Shown {
+    frame: proto::Frame,
+    /// None where it says nothing of what those of a moving viewer will take on their way.
+    size: Option<Size>,
+    /// In a stream of H.264; 0 for another encoding.
+    stream_number: u64,
+}
+
 /// A frame of a turn.
 struct Rendered {
-    frame: proto::Frame,
+    shown: Shown,
     /// Whether nothing stood in for missing pages.
     all_pages: bool,
     /// Whether nothing but pages and passes is missing of what a viewer at rest would be shown.
     is_full: bool,
     /// To be refined; None where that is of no use, or has to wait for room.
     still: Option<Still>,
-    /// None in another encoding than those of a moving viewer.
-    size: Option<Size>,
     turn: Turn,
 }
 
@@ -132,8 +135,8 @@ enum Means {
 struct Refined {
     /// None where the first pass still waits for pages.
     still: Option<Still>,
-    /// To be shown; and its size as a [`Rendered`] one's.
-    frame: Option<(proto::Frame, Option<Size>)>,
+    /// To be sent.
+    shown: Option<Shown>,
 }
 
 /// Why nothing is shown any more.
@@ -173,8 +176,8 @@ impl Session {
         let wish = Wish { pose: None, settings, output, sequences, revision: 0, changed: Instant::now(), poses: 0, acknowledged: 0 };
         let wish = watch::Sender::new(wish);
         let link = Mutex::new(Link::new(credits));
-        let (sent, video) = (AtomicU64::new(0), Arc::default());
-        let session = Self { stage, version, credits, wish, sent, link, video, moving, _room: room };
+        let (sent, seat) = (AtomicU64::new(0), Seat::default());
+        let session = Self { stage, version, credits, wish, sent, link, seat, taking: Mutex::default(), moving, _room: room };
         session.check_video(&output, None)?;
         Ok(session)
     }
@@ -192,15 +195,18 @@ impl Session {
 
     /// All that the update says, or nothing and an error.
     pub fn take(&self, update: Update) -> Result<(), ApiError> {
+        let _one_at_a_time = self.taking.lock().unwrap_or_else(PoisonError::into_inner);
         let change = self.check(update)?;
         let overtaken = change.pose.is_some_and(|_| change.sequence < self.wish.borrow().sequences.pose);
         self.stage.metrics.poses_overtaken.inc_by(overtaken.into());
-        if let Some((size, seconds)) = self.link().acknowledged(change.acknowledged, Instant::now().into_std())
-            && let Some(moving) = &self.moving
-        {
+        let arrived = self.link().acknowledged(change.acknowledged, Instant::now().into_std());
+        if let (Some((size, seconds)), Some(moving)) = (arrived, &self.moving) {
             moving.pace().arrived(size.share, size.quality, seconds);
         }
         self.wish.send_modify(|wish| wish.apply(change));
+        if !self.wish.borrow().output.has_video() {
+            self.seat.leave();
+        }
         Ok(())
     }
 
@@ -233,8 +239,7 @@ impl Session {
 
     /// Takes a seat for whoever wants H.264 and has none.
     fn check_video(&self, output: &Output, camera: Option<Camera>) -> Result<(), ApiError> {
-        let is_video = |encoding: Encoding| matches!(encoding, Encoding::H264 { .. });
-        if !is_video(output.encoding) && !output.encoding_at_rest.is_some_and(is_video) {
+        if !output.has_video() {
             return Ok(());
         }
         if let Some(intrinsics) = camera.as_ref().map(Camera::intrinsics) {
@@ -245,18 +250,7 @@ impl Session {
                 return Err(ApiError::field("pose.camera.intrinsics", problem));
             }
         }
-        let mut seat = self.video.lock().unwrap_or_else(PoisonError::into_inner);
-        if seat.is_none() {
-            let place = self.stage.video_places.clone().try_acquire_owned();
-            let _place =
-                place.map_err(|_| ApiError::new(Reason::TooManySessions, "no more viewers are sent H264; ask for another encoding"))?;
-            *seat = Video::new().map(|video| Seat { video: Arc::new(Mutex::new(video)), _place });
-        }
-        Ok(())
-    }
-
-    fn video(&self) -> Option<VideoStream> {
-        video_of(&self.video)
+        self.seat.take(&self.stage.video_places)
     }
 
     /// For a new stream: what was on its way in the old one has arrived or never will.
@@ -264,9 +258,7 @@ impl Session {
         let sent = self.sent.load(Ordering::SeqCst);
         self.wish.send_modify(|wish| wish.acknowledged = sent);
         self.link().forget();
-        if let Some(video) = self.video() {
-            video.lock().unwrap_or_else(PoisonError::into_inner).begin_anew();
-        }
+        self.seat.begin_anew();
         if let Some(moving) = &self.moving {
             moving.pace().forget_link();
         }
@@ -276,22 +268,32 @@ impl Session {
         self.link.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Until this wish, or one after it, has a place among the frames on their way. False once the client has left.
-    async fn until_placed(&self, sent: u64, is_due: impl Fn(&Wish) -> bool) -> bool {
+    /// Until a wish that is due has a place among the frames on their way; once nothing more comes from the viewer (`last`), every credit is
+    /// one. False once the client has left.
+    async fn until_placed(&self, sent: u64, last: &CancellationToken, is_due: impl Fn(&Wish) -> bool) -> bool {
         let mut wishes = self.wish.subscribe();
         loop {
-            let has_place = |wish: &Wish| is_due(wish) && sent - wish.acknowledged < self.link().places();
-            let on_their_way = match wishes.wait_for(has_place).await {
-                Ok(wish) => sent - wish.acknowledged,
-                Err(_) => return false,
+            let is_last = last.is_cancelled();
+            let places = || if is_last { self.credits.into() } else { self.link().places() };
+            let has_place = |wish: &Wish| is_due(wish) && sent - wish.acknowledged < places();
+            let on_their_way = tokio::select! {
+                biased;
+                wish = wishes.wait_for(has_place) => match wish {
+                    Ok(wish) => sent - wish.acknowledged,
+                    Err(_) => return false,
+                },
+                () = last.cancelled(), if !is_last => continue,
             };
             let held_until = {
                 let link = self.link();
-                link.until_begun().filter(|until| on_their_way + 1 == link.places() && *until > Instant::now().into_std())
+                link.until_begun().filter(|until| !is_last && on_their_way + 1 == link.places() && *until > Instant::now().into_std())
             };
-            match held_until {
-                Some(until) => tokio::time::sleep_until(until.into()).await,
-                None => return true,
+            let Some(until) = held_until else { return true };
+            tokio::select! {
+                () = tokio::time::sleep_until(until.into()) => {}
+                // Another acknowledgement may let it begin before.
+                _ = wishes.changed() => {}
+                () = last.cancelled() => {}
             }
         }
     }
@@ -303,6 +305,8 @@ impl Session {
         // What an earlier stream showed is shown again.
         let (mut shown, mut owed, mut poses_shown) = (0, Owed::Nothing, self.wish.borrow().poses.saturating_sub(1));
         let (mut motion, mut expected, mut crowd) = (Motion::default(), None, Crowd::default());
+        // The wish whose next frame waits for all its pages: more of those that do not would never have them.
+        let mut hopeless = 0;
         let mut sent_at = Instant::now();
         // Of the wish that was shown last; None also while there is no room for it.
         let mut still: Option<Still> = None;
@@ -316,7 +320,7 @@ impl Session {
                     (still, owed) = self.abandon();
                     continue;
                 }
-                is_there = self.until_placed(sent, is_new) => if !is_there { return ShowEnded::Left },
+                is_there = self.until_placed(sent, last, is_new) => if !is_there { return ShowEnded::Left },
                 () = self.until_due(owed, sent, last) => {}
                 () = last.cancelled() => return ShowEnded::Left,
                 () = self.until_mute(sent, sent_at) => return ShowEnded::Mute,
@@ -346,8 +350,8 @@ impl Session {
                     Some(Ok(refined)) => {
                         let is_last = refined.still.as_ref().is_some_and(Still::is_done);
                         (still, owed) = if is_last { (None, Owed::Nothing) } else { (refined.still, owed) };
-                        if let Some((frame, size)) = refined.frame {
-                            sent_at = self.send(slot, frame, size);
+                        if let Some(shown) = refined.shown {
+                            sent_at = self.send(slot, shown);
                         }
                     }
                     Some(Err(error)) => {
@@ -380,26 +384,27 @@ impl Session {
                     self.stage.metrics.stills_abandoned.inc();
                     continue;
                 }
-                rendered = self.render(&asked, who, sent + 1, begun.clone()) => rendered,
+                rendered = self.render(&asked, who, sent + 1, hopeless, begun.clone()) => rendered,
             };
             let turn = match rendered {
-                Ok(Rendered { mut frame, all_pages, is_full, still: begun, size, turn }) => {
+                Ok(Rendered { mut shown, all_pages, is_full, still: begun, turn }) => {
                     let settled = turn.wish.changed + self.moving.as_ref().map_or(SETTLING, |moving| moving.settling);
-                    let misses = frame.cache.and_then(|cache| cache.adapter).map_or(0, |adapter| adapter.misses);
-                    let has_hope = all_pages || crowd.has_hope(turn.wish.revision, misses);
+                    let adapter = shown.frame.cache.and_then(|cache| cache.adapter).unwrap_or_default();
+                    if !all_pages && !crowd.has_hope(turn.wish.revision, adapter.misses, adapter.evictions) {
+                        hopeless = turn.wish.revision;
+                    }
                     owed = match (is_full, all_pages, &self.moving) {
                         (true, true, _) if turn.wish.settings.passes > 1 => Owed::Passes(settled),
                         (true, true, _) => Owed::Nothing,
                         (false, _, Some(_)) => Owed::FullSize(settled),
-                        _ if !has_hope => Owed::Nothing,
                         _ => Owed::Better,
                     };
-                    frame.is_final = owed == Owed::Nothing;
+                    shown.frame.is_final = owed == Owed::Nothing;
                     still = begun;
-                    self.measure(&frame, share(&turn.drawn, &turn.full), who);
+                    self.measure(&shown, who);
                     let is_held_back = last.is_cancelled() && matches!(owed, Owed::Passes(_));
                     if !is_held_back {
-                        sent_at = self.send(slot, frame, size);
+                        sent_at = self.send(slot, shown);
                     }
                     turn
                 }
@@ -426,11 +431,11 @@ impl Session {
         }
     }
 
-    /// Puts a frame of this size into its place in the outbox; when.
-    fn send(&self, slot: OutboxPlace<'_>, frame: proto::Frame, size: Option<Size>) -> Instant {
+    /// Puts a frame into its place in the outbox; when.
+    fn send(&self, slot: OutboxPlace<'_>, Shown { frame, size, stream_number }: Shown) -> Instant {
         let now = Instant::now();
-        if let Some(video) = self.video().filter(|_| frame.encoding() == proto::Encoding::H264) {
-            video.lock().unwrap_or_else(PoisonError::into_inner).sent();
+        if stream_number > 0 {
+            self.seat.sent(stream_number);
         }
         self.link().sent(frame.frame_id, size, now.into_std());
         // Before it can be acknowledged.
@@ -460,7 +465,7 @@ impl Session {
                 () = last.cancelled() => {}
             },
         }
-        self.until_placed(sent, |_| true).await;
+        self.until_placed(sent, last, |_| true).await;
     }
 
     /// Until a frame has waited too long for its acknowledgement; for ever once all have theirs.
@@ -474,14 +479,14 @@ impl Session {
         std::future::pending().await
     }
 
-    /// For the size of the frames to come. `share`: of the full size's pixels.
-    fn measure(&self, frame: &proto::Frame, share: f32, who: Priority) {
-        let (Some(moving), Some(t)) = (&self.moving, &frame.timings) else { return };
+    /// For the size of the frames to come.
+    fn measure(&self, shown: &Shown, who: Priority) {
+        let (Some(moving), Some(t), Some(size)) = (&self.moving, &shown.frame.timings, shown.size) else { return };
         let seconds = |micros: u64| micros as f32 / 1e6;
         // Who rests stands back, which says nothing of the wait of one who moves.
         let waiting = (who == Priority::Viewer).then(|| seconds(t.queue_micros));
         let took = Took { waiting, own: seconds(t.pages_micros + t.render_micros + t.encode_micros) };
-        moving.pace().drawn(share, took);
+        moving.pace().drawn(size.share, took);
     }
 
     /// Brings what the expected frame would miss, once, and never returns.
@@ -500,10 +505,17 @@ impl Session {
 
     /// The latest wish of the moment when the render thread takes it up, as its frame: of full size where it is still the one that was
     /// asked for at rest, however long it waited.
-    /// `begun` is cancelled then.
-    async fn render(&self, asked: &Wish, who: Priority, frame_id: u64, begun: CancellationToken) -> Result<Rendered, ApiError> {
+    /// `begun` is cancelled then. The wish with the revision `hopeless` waits for all its pages.
+    async fn render(
+        &self,
+        asked: &Wish,
+        who: Priority,
+        frame_id: u64,
+        hopeless: u64,
+        begun: CancellationToken,
+    ) -> Result<Rendered, ApiError> {
         let (version, moving, upload_bytes) = (self.version.clone(), self.moving.clone(), self.stage.upload_bytes_per_frame);
-        let (wishes, asked, video, settings) = (self.wish.subscribe(), asked.clone(), self.video.clone(), asked.settings);
+        let (wishes, asked, seat, settings) = (self.wish.subscribe(), asked.clone(), self.seat.clone(), asked.settings);
         let order = move || {
             begun.cancel();
             let latest = wishes.borrow().clone();
@@ -511,7 +523,10 @@ impl Session {
             let moving = moving.as_deref().filter(|_| !rests);
             let turn = Turn::of(latest, moving);
             let turn = turn.expect("a wish that is asked for has a pose, and keeps one");
-            let mut order = turn.wish.order(version, turn.drawn, video_of(&video), upload_bytes);
+            let mut order = turn.wish.order(version, turn.drawn, seat.stream(), upload_bytes);
+            if turn.wish.revision == hopeless {
+                order.refine = Refine::Whole;
+            }
             if let Some(moving) = moving {
                 (order.passes, order.output.encoding_at_rest) = (1, None);
                 let quality = moving.pace().quality(order.output.encoding.quality());
@@ -522,28 +537,37 @@ impl Session {
         let begun = Instant::now();
         let (frame, still, turn) = self.stage.frames.encoded_late(order, &settings, who).await?;
         let (pose_id, all_pages) = (turn.pose_id, frame.all_pages);
-        let (size, is_full) = (turn.size(frame.encoding), turn.is_full(frame.encoding));
+        let is_full = turn.is_full(frame.encoding);
+        let shown = self.shown(frame, frame_id, pose_id, turn.wish.output.encoding, share(&turn.drawn, &turn.full));
         tracing::debug!(frame_id, pose_id, micros = begun.elapsed().as_micros() as u64, "frame");
-        Ok(Rendered { frame: wire::frames::frame(frame, self.identity(frame_id, pose_id)), all_pages, is_full, still, size, turn })
+        Ok(Rendered { shown, all_pages, is_full, still, turn })
     }
 
     /// One more pass of the wish that was shown, which still stands; its frame where it is one that is shown.
     async fn refine(&self, still: Option<Still>, asked: &Wish, frame_id: u64, shown_now: Means) -> Result<Refined, ApiError> {
         let (pose_id, camera) = asked.pose.expect("a wish that was shown has a pose");
         let before = still.as_ref().map_or(0, Still::passes);
-        let order = asked.order(self.version.clone(), camera, self.video(), self.stage.upload_bytes_per_frame);
+        let order = asked.order(self.version.clone(), camera, self.seat.stream(), self.stage.upload_bytes_per_frame);
         let still = self.stage.frames.refined(still, order).await?;
         let is_shown = |passes: u32| passes > before.max(1) && passes.is_power_of_two() && shown_now == Means::Doubled;
         match still {
             Some(still) if still.is_done() || is_shown(still.passes()) => {
                 let (frame, still) = self.stage.frames.encoded_still(still).await?;
                 tracing::debug!(frame_id, pose_id, passes = still.passes(), "frame refined");
-                let size = size_of(frame.encoding, asked.output.encoding, 1.0);
-                let frame = wire::frames::frame(frame, self.identity(frame_id, pose_id));
-                Ok(Refined { still: Some(still), frame: Some((frame, size)) })
+                let shown = self.shown(frame, frame_id, pose_id, asked.output.encoding, 1.0);
+                Ok(Refined { still: Some(still), shown: Some(shown) })
             }
-            still => Ok(Refined { still, frame: None }),
+            still => Ok(Refined { still, shown: None }),
         }
+    }
+
+    /// `moving`: the encoding of a moving viewer's frames; `share`: of the full size's pixels.
+    fn shown(&self, frame: EncodedFrame, frame_id: u64, pose_id: u64, moving: Encoding, share: f32) -> Shown {
+        // Key frames are rare, and several times as large as the others.
+        let is_alike = encoding_number(frame.encoding) == encoding_number(moving) && (frame.stream_number == 0 || !frame.is_key);
+        let size = is_alike.then(|| Size { share, quality: frame.encoding.quality() });
+        let stream_number = frame.stream_number;
+        Shown { frame: wire::frames::frame(frame, self.identity(frame_id, pose_id)), size, stream_number }
     }
 
     fn identity(&self, frame_id: u64, pose_id: u64) -> FrameIdentity {
@@ -564,21 +588,6 @@ impl Turn {
         let at_rest = self.wish.output.encoding_at_rest.unwrap_or(self.wish.output.encoding);
         self.drawn == self.full && (self.is_at_rest || encoding == at_rest)
     }
-
-    /// Of its frame in that encoding.
-    fn size(&self, encoding: Encoding) -> Option<Size> {
-        size_of(encoding, self.wish.output.encoding, share(&self.drawn, &self.full))
-    }
-}
-
-/// Who wishes H.264 has had a seat since before the wish.
-fn video_of(seat: &Mutex<Option<Seat>>) -> Option<VideoStream> {
-    seat.lock().unwrap_or_else(PoisonError::into_inner).as_ref().map(|seat| seat.video.clone())
-}
-
-/// Of a frame in this encoding; None where those of a moving viewer are in another one.
-fn size_of(encoding: Encoding, moving: Encoding, share: f32) -> Option<Size> {
-    (encoding_number(encoding) == encoding_number(moving)).then(|| Size { share, quality: encoding.quality() })
 }
 
 impl Moving {

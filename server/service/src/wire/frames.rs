@@ -38,6 +38,8 @@ pub struct EncodedFrame {
     pub passes_done: u32,
     /// Whether the colour can be decoded without the frames before.
     pub is_key: bool,
+    /// In a stream of H.264, from 1; 0 for another encoding.
+    pub stream_number: u64,
 }
 
 /// What a frame answers.

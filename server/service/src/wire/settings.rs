@@ -96,6 +96,14 @@ pub enum Delivery {
     Stream,
 }
 
+impl Output {
+    /// Whether any of its frames are H.264.
+    pub fn has_video(&self) -> bool {
+        let is_video = |encoding: Encoding| matches!(encoding, Encoding::H264 { .. });
+        is_video(self.encoding) || self.encoding_at_rest.is_some_and(is_video)
+    }
+}
+
 impl Encoding {
     /// 1 to 100, where there is one.
     pub fn quality(self) -> Option<u8> {
