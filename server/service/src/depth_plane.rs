@@ -115,7 +115,7 @@ mod tests {
 
     #[test]
     fn sixteen_bits_of_inverse_distance_are_as_exact_as_they_promise() {
-        let mut distances = distances();
+        let mut distances: Vec<f32> = (1..=70).map(|distance| distance as f32).collect();
         distances[5] = f32::INFINITY;
         distances[6] = 1e9;
         let encoded = DepthPlane { format: DepthFormat::Inverse16, step: 1 }.encode(&distances, 10).unwrap();

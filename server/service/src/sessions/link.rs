@@ -322,6 +322,7 @@ mod tests {
                 link.acknowledged(frame_id - 3, start + millis(40 * frame_id));
             }
         }
+        link.acknowledged(200, start + millis(8_100));
         let before = link.window;
         // A minute later two frames are acknowledged at once.
         let later = start + millis(68_000);
