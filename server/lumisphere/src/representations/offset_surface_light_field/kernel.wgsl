@@ -32,13 +32,13 @@ struct Shading {
 
 @group(1) @binding(0) var<storage, read> object_triangles: array<u32>;
 @group(1) @binding(1) var<storage, read> object_vertices: array<ObjectVertex>;
-@group(1) @binding(2) var<uniform> shading: Shading;
+@group(1) @binding(2) var<storage, read> shading: Shading;
 @group(1) @binding(3) var<storage, read> sample_points: array<vec4<f32>>;
 // Four 16-bit indices a texel, the first in the low half.
 @group(1) @binding(4) var<storage, read> sample_maps: array<vec2<u32>>;
 @group(1) @binding(5) var<storage, read> indirection: array<u32>;
 @group(1) @binding(6) var<storage, read_write> touched: array<atomic<u32>>;
-@group(1) @binding(7) var<uniform> gloss: BrdfUniform;
+@group(1) @binding(7) var<storage, read> gloss: BrdfUniform;
 
 // Component and Blend, as kernel.rs numbers them.
 override COMPONENT: u32 = 0u;
