@@ -28,7 +28,7 @@ struct LightInfo {
     point_lights: array<PointLight, 4>,
 }
 
-@group(1) @binding(8) var<uniform> light: LightInfo;
+@group(1) @binding(8) var<storage, read> light: LightInfo;
 
 // rotate_y(−turn) · direction
 fn before(direction: vec3<f32>) -> vec3<f32> {
