@@ -2,7 +2,10 @@
 
 use clap::{Args, ValueEnum};
 use lumisphere_proto::v1alpha1 as wire;
-use wire::offset_surface_light_field_settings::{Blend as WireBlend, Component as WireComponent, Filter as WireFilter, Gloss};
+use wire::offset_surface_light_field_settings::{
+    Blend as WireBlend, Component as WireComponent, Filter as WireFilter, Gloss, PointLight, Refraction, Relighting,
+    refraction::Body as WireBody,
+};
 use wire::parameter_map_settings::Show;
 use wire::render_settings::Representation;
 
@@ -11,7 +14,7 @@ use crate::cameras::parse_vec3;
 /// What to compute.
 #[derive(Debug, Clone, Args)]
 pub struct SettingsFlags {
-    /// What to show: of an offset surface light field a term of reconstruction + specular · mirror, or glossy; of a parameter map its radiance,
+    /// What to show: of an offset surface light field a term of reconstruction + specular · mirror, glossy, or refraction; of a parameter map its radiance,
     /// or which models its texels have, or what their fits say [default: reconstruction, radiance]
     #[arg(long, value_enum)]
     pub component: Option<Component>,
@@ -29,6 +32,10 @@ pub struct SettingsFlags {
     pub backend: Backend,
     #[command(flatten)]
     pub gloss: GlossFlags,
+    #[command(flatten)]
+    pub light: LightFlags,
+    #[command(flatten)]
+    pub clear: ClearFlags,
     #[command(flatten)]
     pub truth: TruthFlags,
 }
@@ -61,6 +68,73 @@ pub struct GlossFlags {
     pub passes: u32,
 }
 
+/// What component refraction shows.
+#[derive(Debug, Clone, Default, Args)]
+pub struct ClearFlags {
+    /// Index of refraction of component refraction, 1 to 4 [default: 1.5]
+    #[arg(long, value_name = "INDEX")]
+    pub refraction_index: Option<f32>,
+    /// What is inside the surface of component refraction [default: solid]
+    #[arg(long, value_enum)]
+    pub body: Option<Body>,
+}
+
+/// Clear bodies.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Body {
+    /// The medium
+    Solid,
+    /// Air: the surface is a thin sheet
+    Thin,
+}
+
+/// What a frame shows beside the terms of the sum.
+#[derive(Debug, Clone, Copy)]
+pub struct Looks<'a> {
+    /// Of component glossy.
+    pub gloss: &'a GlossFlags,
+    /// Of every component.
+    pub light: &'a LightFlags,
+    /// Of component refraction.
+    pub clear: &'a ClearFlags,
+}
+
+impl Looks<'static> {
+    /// As captured, and nothing glossy or clear.
+    pub fn plain() -> Self {
+        static GLOSS: GlossFlags = GlossFlags { brdf: None, directions: 0, passes: 0 };
+        static LIGHT: LightFlags = LightFlags { environment_turn_deg: 0.0, point_light: Vec::new() };
+        static CLEAR: ClearFlags = ClearFlags { refraction_index: None, body: None };
+        Self { gloss: &GLOSS, light: &LIGHT, clear: &CLEAR }
+    }
+}
+
+/// Light other than was captured.
+#[derive(Debug, Clone, Default, Args)]
+pub struct LightFlags {
+    /// Degrees about +Y by which the light from infinity is turned, -360 to 360 [default: 0]
+    #[arg(long, value_name = "DEGREES", default_value_t = 0.0, hide_default_value = true, allow_negative_numbers = true)]
+    pub environment_turn_deg: f32,
+    /// A point light more: its place and its radiant intensity in W/sr; up to four times
+    #[arg(long, value_name = "X,Y,Z:R,G,B", value_parser = parse_point_light, allow_hyphen_values = true)]
+    pub point_light: Vec<[[f32; 3]; 2]>,
+}
+
+fn parse_point_light(text: &str) -> Result<[[f32; 3]; 2], String> {
+    let (position, intensity) = text.split_once(':').ok_or("X,Y,Z:R,G,B expected")?;
+    Ok([parse_vec3(position)?, parse_vec3(intensity)?])
+}
+
+impl LightFlags {
+    fn to_wire(&self) -> Option<Relighting> {
+        let vector = |[x, y, z]: [f32; 3]| Some(wire::Vector3 { x, y, z });
+        let light = |[position, intensity]: &[[f32; 3]; 2]| PointLight { position: vector(*position), intensity: vector(*intensity) };
+        let point_lights: Vec<PointLight> = self.point_light.iter().map(light).collect();
+        let is_changed = self.environment_turn_deg != 0.0 || !point_lights.is_empty();
+        is_changed.then_some(Relighting { environment_turn_deg: self.environment_turn_deg, point_lights })
+    }
+}
+
 /// What of a cube map a pixel reads.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Filter {
@@ -81,6 +155,8 @@ pub enum Component {
     Full,
     /// With the BRDF of --brdf
     Glossy,
+    /// As a clear body of --refraction-index
+    Refraction,
     /// Of a parameter map: what its models say
     Radiance,
     /// Of a parameter map: which model each texel has, as a colour
@@ -97,7 +173,7 @@ impl Component {
                 let corrected = blends.iter().copied().filter(|blend| *blend == Blend::Corrected);
                 std::iter::once(Blend::Distance).chain(corrected).collect()
             }
-            Self::Mirror | Self::Full | Self::Glossy => blends.to_vec(),
+            Self::Mirror | Self::Full | Self::Glossy | Self::Refraction => blends.to_vec(),
             Self::Radiance | Self::Models | Self::Flags => vec![Blend::Distance],
         }
     }
@@ -163,7 +239,9 @@ impl SettingsFlags {
     /// The wire's form, for a dataset of this kind.
     pub fn to_wire(&self, kind: &str) -> wire::RenderSettings {
         let default = if kind == "parameter_map" { Component::Radiance } else { Component::Reconstruction };
-        let stored = settings(self.component.unwrap_or(default), self.blend, self.specular, self.filter, self.backend, &self.gloss);
+        let component = self.component.unwrap_or(default);
+        let looks = Looks { gloss: &self.gloss, light: &self.light, clear: &self.clear };
+        let stored = settings(component, self.blend, self.specular, self.filter, self.backend, looks);
         wire::RenderSettings { ground_truth: self.truth.to_wire(), ..stored }
     }
 }
@@ -182,7 +260,7 @@ pub fn settings(
     specular: [f32; 3],
     filter: Filter,
     backend: Backend,
-    gloss: &GlossFlags,
+    Looks { gloss, light, clear }: Looks<'_>,
 ) -> wire::RenderSettings {
     let (blend, exponent) = match blend {
         Blend::Distance => (WireBlend::Distance, None),
@@ -208,6 +286,7 @@ pub fn settings(
         Component::Mirror => WireComponent::Mirror,
         Component::Full => WireComponent::Full,
         Component::Glossy => WireComponent::Glossy,
+        Component::Refraction => WireComponent::Refraction,
         Component::Radiance => return of_map(Show::Radiance),
         Component::Models => return of_map(Show::Models),
         Component::Flags => return of_map(Show::Flags),
@@ -224,6 +303,16 @@ pub fn settings(
         specular_reflectance: Some(wire::Vector3 { x, y, z }),
         filter: filter.into(),
         gloss: gloss.brdf.clone().map(|brdf| Gloss { brdf, directions: gloss.directions, passes: gloss.passes }),
+        relighting: light.to_wire(),
+        refraction: (component == WireComponent::Refraction).then(|| Refraction {
+            index: clear.refraction_index,
+            body: match clear.body {
+                None => WireBody::Unspecified,
+                Some(Body::Solid) => WireBody::Solid,
+                Some(Body::Thin) => WireBody::Thin,
+            }
+            .into(),
+        }),
     };
     wire::RenderSettings { representation: Some(Representation::OffsetSurfaceLightField(settings)), ground_truth: None, backend }
 }
@@ -300,6 +389,17 @@ impl OutputFlags {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn lights_are_parsed_and_without_any_nothing_is_sent() {
+        assert_eq!(parse_point_light("1,-2,3:4,5,6"), Ok([[1.0, -2.0, 3.0], [4.0, 5.0, 6.0]]));
+        for bad in ["1,2,3", "1,2:3,4,5", "1,2,3:4,5", "1,2,3:4,5,6:7", "a,b,c:1,2,3"] {
+            assert!(parse_point_light(bad).is_err(), "{bad}");
+        }
+        assert_eq!(LightFlags::default().to_wire(), None);
+        let turned = LightFlags { environment_turn_deg: -30.0, point_light: Vec::new() };
+        assert_eq!(turned.to_wire().unwrap().environment_turn_deg, -30.0);
+    }
 
     #[test]
     fn blends_are_parsed_with_their_exponents() {

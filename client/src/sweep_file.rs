@@ -13,7 +13,7 @@ use crate::cameras::{OrbitFlags, Size, Views, read_cameras};
 use crate::commands::evaluate::Truth;
 use crate::commands::job::codec_message;
 use crate::exit::Failure;
-use crate::render_settings::{Backend, Blend, Component, Filter, GlossFlags, settings};
+use crate::render_settings::{Backend, Blend, Component, Filter, Looks, settings};
 use crate::scene_source::SceneFlags;
 use crate::sections::{Expected, Section, integer, number, text};
 
@@ -299,10 +299,7 @@ fn setting_axes(mut s: Section) -> anyhow::Result<(Vec<Setting>, [f32; 3])> {
                         return Ok((all, specular));
                     }
                     let name = backend.to_possible_value().map(|v| v.get_name().to_string()).unwrap_or_default();
-                    all.push(Setting {
-                        wire: settings(component, blend, specular, filter, backend, &GlossFlags::default()),
-                        backend: name,
-                    });
+                    all.push(Setting { wire: settings(component, blend, specular, filter, backend, Looks::plain()), backend: name });
                 }
             }
         }

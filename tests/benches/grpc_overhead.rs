@@ -96,6 +96,8 @@ fn mirror() -> wire::RenderSettings {
         specular_reflectance: None,
         filter: 0,
         gloss: None,
+        relighting: None,
+        refraction: None,
     };
     wire::RenderSettings {
         representation: Some(wire::render_settings::Representation::OffsetSurfaceLightField(settings)),

@@ -3,6 +3,8 @@
 //! `cargo build --release --workspace --bins && cargo bench -p lumisphere-tests --bench viewers`; parts after `--` run only these:
 //! - `motion`: from a pose to its decoded frame, 640 × 480, mirror reflection, JPEG, one credit: median within 10 ms of the server's own
 //!   time, 99 % within twice the median. Then frames a second with two credits, against one divided by the server's own time: at least .95.
+//! - `delivery`: the same less the rendering, frames a second with two credits, and the server's memory while a viewer sends poses and reads
+//!   nothing: to be held beside `docs/rivals/viser_frames.py`, whose frames are rendered beforehand.
 //! - `fairness`: eight viewers beside one: Jain's index at least .95, all together at least .9 of one's frames.
 //! - `link`: the same frames through a proxy of 5 Mbit/s and 100 ms there and back: what a frame waits for others, 95 %, at most its own
 //!   time on the link; at least .8 of the link is used.
@@ -40,6 +42,10 @@ const RUNS: usize = 101;
 const SECONDS: Duration = Duration::from_secs(15);
 const BITS_PER_SECOND: f64 = 5e6;
 const ROUND_TRIP: Duration = Duration::from_millis(100);
+/// Between two poses of one who moves: a screen's.
+const POSE: Duration = Duration::from_millis(16);
+/// Of a viewer that reads nothing: shorter than the server's patience with it.
+const STALL: Duration = Duration::from_secs(45);
 /// How late timers may fire.
 const TIMER: Duration = Duration::from_millis(5);
 const SESSIONS: u64 = 200;
@@ -58,6 +64,9 @@ fn main() {
         let stand = Stand::find(&server).await;
         if wants("motion") {
             motion(&server, &stand).await;
+        }
+        if wants("delivery") {
+            delivery(&server, &stand).await;
         }
         if wants("fairness") {
             fairness(&server, &stand).await;
@@ -216,6 +225,43 @@ async fn motion(server: &Server, stand: &Stand) {
     bound("frames a second with two credits / 1000 / ms in the server", rate * own / 1e3, 0.95, rate * own / 1e3 >= 0.95);
 }
 
+async fn delivery(server: &Server, stand: &Stand) {
+    let mut viewer = Viewer::open(server.rendering().await, *stand, (640, 480), 1).await;
+    let (mut delivered, mut rendering) = (Vec::new(), Vec::new());
+    for run in 0..WARM_UP + RUNS {
+        let begun = Instant::now();
+        viewer.step().await;
+        let frame = viewer.frame().await.expect("a frame");
+        decode_image_codes(&frame.color, ReadLimits::SCENE).expect("a picture");
+        let t = frame.timings.expect("every frame has timings");
+        if run >= WARM_UP {
+            rendering.push(1e-3 * (t.pages_micros + t.render_micros) as f64);
+            delivered.push(1e3 * begun.elapsed().as_secs_f64() - rendering[rendering.len() - 1]);
+        }
+    }
+    let (median, slow, render) = (quantile(&mut delivered, 0.5), quantile(&mut delivered, 0.95), quantile(&mut rendering, 0.5));
+    println!("\ndelivery: from pose to decoded frame, less {render:.1} ms of rendering: median {median:.1} ms, 95 % {slow:.1} ms");
+    let rate = Viewer::open(server.rendering().await, *stand, (640, 480), 2).await.walk(SECONDS).await;
+    println!("  frames a second with two credits: {rate:.2}");
+    // As many credits as there may be: what the server may send without an answer.
+    let mut mute = Viewer::open(server.rendering().await, *stand, (640, 480), 16).await;
+    let (before, begun, mut middle) = (server.resident_bytes(), Instant::now(), None);
+    while begun.elapsed() < STALL {
+        mute.step().await;
+        tokio::time::sleep(POSE).await;
+        if begun.elapsed() > STALL / 2 {
+            middle.get_or_insert_with(|| server.resident_bytes());
+        }
+    }
+    let megabytes = |since: u64| 1e-6 * (server.resident_bytes() as f64 - since as f64);
+    let (all, half) = (megabytes(before), megabytes(middle.unwrap_or(before)));
+    println!(
+        "  a viewer that stalls for {} s, {} poses: {all:.1} MB more, {half:.1} of them in the second half",
+        STALL.as_secs(),
+        mute.steps
+    );
+}
+
 async fn fairness(server: &Server, stand: &Stand) {
     let alone = Viewer::open(server.rendering().await, *stand, (640, 480), 2).await.walk(SECONDS).await;
     let mut together = Vec::new();
@@ -294,7 +340,7 @@ async fn link(server: &Server, stand: &Stand) {
     while begun.elapsed() < SECONDS {
         // A pose every 16 ms, as from a screen.
         tokio::select! {
-            () = tokio::time::sleep(Duration::from_millis(16)) => {
+            () = tokio::time::sleep(POSE) => {
                 viewer.step().await;
                 sent.insert(viewer.steps, Instant::now());
             }

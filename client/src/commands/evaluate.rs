@@ -19,7 +19,7 @@ use crate::cameras::{CameraFlags, Views, parse_vec3};
 use crate::context::Context;
 use crate::files::{Existing, prepare_folder};
 use crate::output::table;
-use crate::render_settings::{Backend, Blend, Component, Filter, GlossFlags, settings};
+use crate::render_settings::{Backend, Blend, ClearFlags, Component, Filter, GlossFlags, LightFlags, Looks, settings};
 
 /// What to evaluate.
 #[derive(Debug, Args)]
@@ -44,6 +44,10 @@ pub struct EvaluateFlags {
     specular: [f32; 3],
     #[command(flatten)]
     gloss: GlossFlags,
+    #[command(flatten)]
+    light: LightFlags,
+    #[command(flatten)]
+    clear: ClearFlags,
     /// How cube maps are read, separated by commas
     #[arg(long, value_enum, value_delimiter = ',', default_value = "footprint")]
     filters: Vec<Filter>,
@@ -134,7 +138,8 @@ impl EvaluateFlags {
     }
 
     fn settings(&self) -> Vec<wire::RenderSettings> {
-        let one = |component, blend, filter| settings(component, blend, self.specular, filter, self.backend, &self.gloss);
+        let looks = Looks { gloss: &self.gloss, light: &self.light, clear: &self.clear };
+        let one = |component, blend, filter| settings(component, blend, self.specular, filter, self.backend, looks);
         let of = |component: Component, filter: Filter| {
             component.blends(&self.blends).into_iter().map(move |blend| one(component, blend, filter))
         };

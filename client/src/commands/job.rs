@@ -24,7 +24,7 @@ use crate::files::{Existing, prepare_folder, safe_name};
 use crate::output::{bytes_text, table};
 use crate::photographs;
 use crate::progress::Meter;
-use crate::render_settings::{Backend, Blend, Component, Filter, GlossFlags, OutputFlags, SettingsFlags, settings};
+use crate::render_settings::{Backend, Blend, Component, Filter, Looks, OutputFlags, SettingsFlags, settings};
 use crate::scene_source::{self, SceneFlags};
 use crate::views;
 
@@ -450,7 +450,7 @@ async fn submit_thin(context: &Context, arguments: &ThinArguments) -> anyhow::Re
         ThinMetric::DeltaE => wire::ThinMetric::DeltaE,
         ThinMetric::RmseL => wire::ThinMetric::RmseL,
     };
-    let shown = settings(arguments.component, arguments.blend, [1.0; 3], Filter::Footprint, Backend::Auto, &GlossFlags::default());
+    let shown = settings(arguments.component, arguments.blend, [1.0; 3], Filter::Footprint, Backend::Auto, Looks::plain());
     let spec = wire::ThinSpec {
         dataset: arguments.dataset.clone(),
         version: arguments.version,

@@ -108,7 +108,7 @@ pub fn file_contents(frame: &wire::Frame) -> impl Iterator<Item = &bytes::Bytes>
 
 /// Where frames come from.
 enum FrameSource<'a> {
-    Unary { context: &'a Context, client: RenderingClient<Channel>, template: wire::RenderFrameRequest },
+    Unary { context: &'a Context, client: RenderingClient<Channel>, template: Box<wire::RenderFrameRequest> },
     Stream(Interaction),
 }
 
@@ -118,7 +118,7 @@ impl<'a> FrameSource<'a> {
         let dataset = target.dataset.clone();
         if !arguments.stream {
             let client = server.rendering();
-            let template = wire::RenderFrameRequest { dataset, version, camera: None, settings, output, pose_id: 0 };
+            let template = Box::new(wire::RenderFrameRequest { dataset, version, camera: None, settings, output, pose_id: 0 });
             return Ok(Self::Unary { context, client, template });
         }
         // Every frame is kept: none shall be smaller for having moved.
@@ -130,7 +130,7 @@ impl<'a> FrameSource<'a> {
     async fn frame(&mut self, pose_id: u64, camera: &Named) -> anyhow::Result<wire::Frame> {
         match self {
             Self::Unary { context, client, template } => {
-                let request = wire::RenderFrameRequest { camera: Some(camera.1), pose_id, ..template.clone() };
+                let request = wire::RenderFrameRequest { camera: Some(camera.1), pose_id, ..wire::RenderFrameRequest::clone(template) };
                 Ok(client.render_frame(context.request(request)).await?.into_inner())
             }
             Self::Stream(interaction) => {

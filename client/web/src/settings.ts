@@ -34,6 +34,13 @@ export interface Settings {
   readonly directions: number;
   /** Of a glossy picture at rest: it is the mean of so many. */
   readonly passes: number;
+  /** Degrees about +Y by which the light from infinity is turned. */
+  readonly environmentTurn: number;
+  /** Point lights more, `X,Y,Z:R,G,B` each, separated by spaces. */
+  readonly pointLights: string;
+  /** Of a clear body. */
+  readonly refractionIndex: number;
+  readonly body: string;
   readonly show: string;
   readonly exposureStops: number;
   readonly exposureGamma: number;
@@ -86,6 +93,10 @@ export const DEFAULT_SETTINGS: Settings = {
   brdf: '{"model": "cook_torrance", "alpha_x": 0.1, "alpha_y": 0.3, "f0": [0.95, 0.64, 0.54]}',
   directions: 64,
   passes: 16,
+  environmentTurn: 0,
+  pointLights: '',
+  refractionIndex: 1.5,
+  body: 'solid',
   show: 'radiance',
   exposureStops: 0,
   exposureGamma: 0,
@@ -146,6 +157,7 @@ export const SETTING_FIELDS: readonly Field<Settings>[] = [
       ['mirror', 'mirror'],
       ['full', 'both'],
       ['glossy', 'glossy BRDF'],
+      ['refraction', 'clear body'],
     ],
     applies: (_, kind) => isLightField(kind),
   },
@@ -173,7 +185,8 @@ export const SETTING_FIELDS: readonly Field<Settings>[] = [
     step: 0.1,
     applies: reads(
       (values, kind) =>
-        showsComponent('mirror', 'full', 'glossy')(values, kind) && (values.blend === 'normal' || values.blend === 'reflection'),
+        showsComponent('mirror', 'full', 'glossy', 'refraction')(values, kind) &&
+        (values.blend === 'normal' || values.blend === 'reflection'),
     ),
   },
   ...(['Red', 'Green', 'Blue'] as const).map(
@@ -220,6 +233,46 @@ export const SETTING_FIELDS: readonly Field<Settings>[] = [
     most: 256,
     step: 1,
     applies: reads(showsComponent('glossy')),
+  },
+  {
+    key: 'refractionIndex',
+    label: 'Index of refraction',
+    control: 'range',
+    least: 1,
+    most: 4,
+    step: 0.01,
+    applies: showsComponent('refraction'),
+  },
+  {
+    key: 'body',
+    label: 'Body',
+    control: 'choice',
+    options: [
+      ['solid', 'solid'],
+      ['thin', 'thin shell'],
+    ],
+    applies: showsComponent('refraction'),
+  },
+  {
+    key: 'environmentTurn',
+    label: 'Environment turned, °',
+    control: 'range',
+    least: -180,
+    most: 180,
+    step: 1,
+    applies: (_, kind) => isLightField(kind),
+  },
+  {
+    key: 'pointLights',
+    label: 'Point lights',
+    hint: 'Place and intensity, X,Y,Z:R,G,B each.',
+    control: 'text',
+    presets: [
+      ['', 'none'],
+      ['3,17,4:100,80,60', 'one, over the gazebo’s table'],
+      ['6,15,2:120,50,20 -6,15,2:20,50,120', 'two, warm and cold'],
+    ],
+    applies: showsComponent('reconstruction', 'full', 'glossy'),
   },
   {
     key: 'filter',

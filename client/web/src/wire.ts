@@ -12,6 +12,7 @@ import {
   OffsetSurfaceLightFieldSettings_Blend as Blend,
   OffsetSurfaceLightFieldSettings_Component as Component,
   OffsetSurfaceLightFieldSettings_Filter as Filter,
+  OffsetSurfaceLightFieldSettings_Refraction_Body as Body,
   OutputSettingsSchema,
   ParameterMapSettings_Show as Show,
   Rendering,
@@ -228,6 +229,7 @@ const COMPONENTS: Readonly<Record<string, Component>> = {
   mirror: Component.MIRROR,
   full: Component.FULL,
   glossy: Component.GLOSSY,
+  refraction: Component.REFRACTION,
 };
 const BLENDS: Readonly<Record<string, Blend>> = {
   distance: Blend.DISTANCE,
@@ -256,8 +258,28 @@ function renderSettings(kind: Kind, settings: Settings): RenderSettings {
     ...(settings.component === 'glossy' && {
       gloss: { brdf: settings.brdf, directions: settings.directions, passes: settings.passes },
     }),
+    ...relighting(settings),
+    ...(settings.component === 'refraction' && {
+      refraction: { index: settings.refractionIndex, body: settings.body === 'thin' ? Body.THIN : Body.SOLID },
+    }),
   };
   return create(RenderSettingsSchema, { representation: { case: 'offsetSurfaceLightField', value }, ...truth });
+}
+
+function relighting({ environmentTurn, pointLights }: Settings): { relighting?: object } {
+  const lights = pointLights.split(' ').filter((light) => light !== '');
+  if (environmentTurn === 0 && lights.length === 0) return {};
+  return { relighting: { environmentTurnDeg: environmentTurn, pointLights: lights.map(pointLight) } };
+}
+
+/** What is no number becomes NaN: the server says what it expects. */
+function pointLight(text: string): { position: object; intensity: object } {
+  const [position, intensity] = text.split(':').map((vector) => {
+    const [x = Number.NaN, y = Number.NaN, z = Number.NaN] = vector.split(',').map((c) => (c.trim() === '' ? Number.NaN : Number(c)));
+    return { x, y, z };
+  });
+  const none = { x: Number.NaN, y: Number.NaN, z: Number.NaN };
+  return { position: position ?? none, intensity: intensity ?? none };
 }
 
 /** Of so many columns and rows the warp needs one depth: its sheet is no finer in a large frame. */

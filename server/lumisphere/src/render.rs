@@ -380,6 +380,7 @@ mod tests {
             blend: oslf::Blend::Distance,
             specular_reflectance: glam::Vec3::ONE,
             filter: oslf::Filter::Footprint,
+            light: crate::scenes::Relighting::NONE,
         });
         let outputs = Outputs { depth: false, provenance: false };
         let request = FrameRequest { camera: &camera, settings: &settings, outputs, refine: Refine::Whole };
@@ -435,6 +436,7 @@ mod tests {
             blend: oslf::Blend::Distance,
             specular_reflectance: glam::Vec3::ONE,
             filter: oslf::Filter::Footprint,
+            light: crate::scenes::Relighting::NONE,
         });
         let camera = WORLD.camera(3.0 * glam::Vec3::Z, glam::Vec3::ZERO, 16, 12);
         let outputs = Outputs { depth: false, provenance: false };

@@ -176,10 +176,11 @@ impl From<RenderError> for ApiError {
         match error {
             RenderError::Store(error) => error.into(),
             RenderError::PageShape { .. } => Self::new(Reason::DataCorrupt, error.to_string()),
-            RenderError::OtherKind { .. } => Self::new(Reason::DatasetKindMismatch, error.to_string()),
+            RenderError::OtherKind { .. } | RenderError::NoSkyShares => Self::new(Reason::DatasetKindMismatch, error.to_string()),
             RenderError::NoGpu => Self::field("settings.backend", error),
             RenderError::TooManyDirections { .. } => Self::field("settings.offset_surface_light_field.gloss.directions", error),
             RenderError::DependsOnPages => Self::field("settings.offset_surface_light_field.blend", error),
+            RenderError::ReadsMore => Self::field("settings.offset_surface_light_field", error),
             RenderError::Gpu(_) => Self::new(Reason::GpuUnavailable, error.to_string()),
         }
     }

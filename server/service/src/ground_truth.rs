@@ -88,7 +88,7 @@ impl Tracers {
             paths_per_pixel: truth.paths_per_pixel,
             outputs: Outputs { depth: order.output.depth.is_some(), provenance: order.output.provenance },
         };
-        let kept = self.kept.back().expect("the scene was made ready");
+        let kept = self.kept.back_mut().expect("the scene was made ready");
         let pixels = self.pool.install(|| kept.passes.trace(&pass, &order.camera, abandoned)).map_err(refused)?;
         let intrinsics = order.camera.intrinsics();
         let stats = FrameStats {

@@ -13,7 +13,7 @@ use crate::context::{Context, Server};
 use crate::exit::Failure;
 use crate::output::table;
 use crate::progress::{Meter, Progress};
-use crate::render_settings::{Backend, Blend, Component, Filter, GlossFlags, settings};
+use crate::render_settings::{Backend, Blend, Component, Filter, Looks, settings};
 
 /// Directions a pixel of the glossy reflection; the paper has 100.
 const LOBE_SAMPLES: u32 = 16;
@@ -222,7 +222,7 @@ impl Requests {
             Self::SampleMaps | Self::Reconstruction => Component::Reconstruction,
             Self::Mirror | Self::Glossy(_) => Component::Mirror,
         };
-        settings(component, Blend::Normal(4.0), [1.0; 3], Filter::Bilinear, Backend::Cpu, &GlossFlags::default())
+        settings(component, Blend::Normal(4.0), [1.0; 3], Filter::Bilinear, Backend::Cpu, Looks::plain())
     }
 }
 

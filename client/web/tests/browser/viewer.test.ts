@@ -20,6 +20,8 @@ import { Server } from './server';
 const DRAG_MINUTES = Number(process.env['DRAG_MINUTES'] ?? 0);
 /** For what takes long on a software adapter. */
 const SMALL = { width: 400, height: 300 };
+/** The same, with room for the settings beside it. */
+const LOW = { width: 800, height: 320 };
 
 const server = new Server();
 let browser: Browser;
@@ -329,8 +331,9 @@ describe('a person', () => {
         // Frames are kilobytes each, thousands in ten minutes, and must not stay; a megabyte is room for the browser's own tables.
         expect(now.bytes - before.bytes).toBeLessThan(5e4);
         expect(now.objects - before.objects).toBeLessThan(1e6);
-        // All pages are there since the first drags. 16 MiB: what an allocator keeps of frames that come and go.
-        expect(now.server - before.server).toBeLessThan(16 << 20);
+        // All pages are there since the first drags. What a software adapter holds comes and goes by thirty megabytes; a frame that stays
+        // takes one or two.
+        expect(now.server - before.server).toBeLessThan(64 << 20);
       }
       await seen(viewer, 'patchwork');
     },
@@ -359,7 +362,7 @@ describe('a person', () => {
 describe('a picture of several passes', () => {
   test('is refined at rest, and says how far it is', async () => {
     const glossy = '#d=patchwork&component=glossy&blend=normal&directions=16&passes=1';
-    const viewer = await ViewerPage.open(browser, `${server.url}/${glossy}`, { viewport: SMALL });
+    const viewer = await ViewerPage.open(browser, `${server.url}/${glossy}`, { viewport: LOW });
     await viewer.isStill();
     expect(await viewer.page.locator('.pane').getAttribute('data-passes')).toBe('1');
     await viewer.page.evaluate(() => {
@@ -386,11 +389,11 @@ describe('a picture of several passes', () => {
 });
 
 describe('ground truth', () => {
-  const address = '#d=patchwork&component=full&blend=average&encoding=png&truthPasses=16';
+  const address = '#d=patchwork&component=full&blend=average&encoding=png&truthPasses=4';
   let viewer: ViewerPage;
 
   beforeAll(async () => {
-    viewer = await ViewerPage.open(browser, `${server.url}/${address}`, { viewport: SMALL });
+    viewer = await ViewerPage.open(browser, `${server.url}/${address}`, { viewport: LOW });
     await viewer.isStill();
   });
   afterAll(() => viewer.close());
@@ -423,8 +426,8 @@ describe('ground truth', () => {
   test('is traced for the picture whose source it is, pass by pass', async () => {
     const stored = await viewer.picture();
     await viewer.becomesStillAfter(() => viewer.field('Source').selectOption('truth'));
-    expect(viewer.asked().settings.groundTruth).toMatchObject({ pathsPerPixel: 1, passes: 16 });
-    expect(await viewer.page.locator('.pane').getAttribute('data-passes')).toBe('16');
+    expect(viewer.asked().settings.groundTruth).toMatchObject({ pathsPerPixel: 1, passes: 4 });
+    expect(await viewer.page.locator('.pane').getAttribute('data-passes')).toBe('4');
     await seen(viewer, 'patchwork');
     expect(await viewer.differingPixels(stored)).toBeGreaterThan(1000);
     // How texels are read changes no truth.
@@ -446,7 +449,7 @@ describe('ground truth', () => {
     await viewer.becomesStillAfter(() => click.click(), 1);
     expect(viewer.asked(1).settings.groundTruth).toBeUndefined();
     expect(viewer.asked(0).settings).toEqual({ ...viewer.asked(1).settings, groundTruth: viewer.asked(0).settings.groundTruth });
-    expect(viewer.asked(0).settings.groundTruth?.passes).toBe(16);
+    expect(viewer.asked(0).settings.groundTruth?.passes).toBe(4);
     await seen(viewer, 'patchwork', 1, 0);
     await seen(viewer, 'patchwork', 0, 1);
     await viewer.screenshot('truth-wipe');
@@ -465,7 +468,7 @@ describe('ground truth', () => {
     await viewer.isStill();
     expect((await agrees()).mean).not.toBe(mean);
     await expect.poll(() => new URL(viewer.page.url()).hash).toContain('split=error');
-    const other = await ViewerPage.open(browser, viewer.page.url(), { viewport: SMALL });
+    const other = await ViewerPage.open(browser, viewer.page.url(), { viewport: LOW });
     await other.isStill();
     const told = (page: ViewerPage) => page.page.locator('.error-legend output').textContent();
     await expect.poll(() => told(other)).toBe(await told(viewer));
@@ -481,7 +484,7 @@ describe('ground truth', () => {
     expect(await colouredPixels()).toBe(0);
     await viewer.page.getByRole('button', { name: 'B', exact: true }).click();
     await viewer.becomesStillAfter(() => viewer.field('Blend').selectOption('distance'), 1);
-    expect((await agrees()).mean).toBeGreaterThan(0.1);
+    expect((await agrees()).mean).toBeGreaterThan(0.01);
     expect(await colouredPixels()).toBeGreaterThan(1000);
     expect(viewer.complaints).toEqual([]);
   });

@@ -12,7 +12,7 @@ use lumisphere::raytrace::{Appearance, TraceSettings, Tracer};
 use lumisphere::render::{Refine, Renderer, Representation, Settings};
 use lumisphere::representations::CachedPages;
 use lumisphere::representations::offset_surface_light_field::{Blend, Component, Filter, Settings as OslfSettings};
-use lumisphere::scenes::{BuiltinOptions, builtin};
+use lumisphere::scenes::{BuiltinOptions, Relighting, builtin};
 
 use super::{cpu_millis, request};
 
@@ -44,7 +44,13 @@ pub fn report(field: &Arc<dyn Representation>, pages: &CachedPages, renderer: &R
         let view = truths.view(camera, &[Truth::OneReflection], &trace(TRUTH_PATHS, 1), &Unattended).expect("nobody cancels");
         let settings = |blend| {
             let (component, filter) = (Component::Mirror, Filter::Footprint);
-            Settings::OffsetSurfaceLightField(OslfSettings { component, blend, specular_reflectance: Vec3::ONE, filter })
+            Settings::OffsetSurfaceLightField(OslfSettings {
+                component,
+                blend,
+                specular_reflectance: Vec3::ONE,
+                filter,
+                light: Relighting::NONE,
+            })
         };
         let truth = view.reference(&settings(Blend::Corrected), Truth::OneReflection);
         let flip = |image: &Image| compare(&truth, image, Some(&view.mask), CompareOptions::STANDARD).expect("equal sizes").flip_mean;

@@ -21,7 +21,7 @@ use lumisphere::representations::offset_surface_light_field::{
     Blend, Component, ConstructSettings, Filter, OffsetSurfaceLightField, Settings as OslfSettings, Spacing, construct, from_parts,
 };
 use lumisphere::representations::{CachedPages, Fetched, PageSource, TexelReader};
-use lumisphere::scenes::{BuiltinOptions, builtin};
+use lumisphere::scenes::{BuiltinOptions, Relighting, builtin};
 use lumisphere::textures::{Cache, CacheOptions, Codec, DatasetVersion, PageId, PixelFormat, Publication, Store, StoreError, StoreOptions};
 
 const RUNS: usize = 15;
@@ -62,7 +62,13 @@ fn main() {
     if std::env::args().any(|a| a == "counting") {
         let settings = |component, filter| {
             let blend = Blend::Normal { exponent: 4.0 };
-            Settings::OffsetSurfaceLightField(OslfSettings { component, blend, specular_reflectance: Vec3::ONE, filter })
+            Settings::OffsetSurfaceLightField(OslfSettings {
+                component,
+                blend,
+                specular_reflectance: Vec3::ONE,
+                filter,
+                light: Relighting::NONE,
+            })
         };
         for (what, component, filter) in [
             ("full", Component::Full, Filter::Footprint),
@@ -89,6 +95,7 @@ fn main() {
             blend,
             specular_reflectance: Vec3::ONE,
             filter: Filter::Footprint,
+            light: Relighting::NONE,
         });
         for backend in backends(renderer.adapter().is_some()) {
             let render = |camera: &Camera| {
@@ -112,7 +119,13 @@ fn report_paging(field: &Arc<dyn Representation>, version: &Arc<DatasetVersion>,
         println!("reading {count} {what}, one thread: {wall:.0} ms, {:.0} ms CPU", cpu_millis() - before);
     }
     let blend = Blend::Normal { exponent: 4.0 };
-    let settings = OslfSettings { component: Component::Mirror, blend, specular_reflectance: Vec3::ONE, filter: Filter::Footprint };
+    let settings = OslfSettings {
+        component: Component::Mirror,
+        blend,
+        specular_reflectance: Vec3::ONE,
+        filter: Filter::Footprint,
+        light: Relighting::NONE,
+    };
     let settings = Settings::OffsetSurfaceLightField(settings);
     let cameras: Vec<Camera> = (0..STEPS).map(|k| orbit_at(center, radius, k as f32 / STEPS as f32)).collect();
     report_units(field, version, &settings, &cameras);

@@ -4,7 +4,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 use thiserror::Error;
 
-use super::levels::{coarser_levels, halved, stacked};
+use super::levels::{coarser_levels, halved, stacked, with_sky_shares};
 use crate::directions::{CubeMap, FACES};
 use crate::progress::{Cancelled, Progress, Silent};
 use crate::raytrace::{TraceSettings, Tracer};
@@ -34,7 +34,8 @@ pub enum CaptureError {
 const BATCH: usize = 8;
 
 /// Traces viewpoint k of n into pages 6·k … 6·k + 5: R, G, B (mean over the texel) and distance, `face_size` texels an edge; and into
-/// page 6·n + (l − 1)·n + k its faces of each coarser level l = 1 … [`coarser_levels`], below each other, R, G, B.
+/// page 6·n + (l − 1)·n + k its faces of each coarser level l = 1 … [`coarser_levels`], below each other: R, G, B and the share of the texel
+/// through which light comes from infinity.
 ///
 /// Pages that `staging` holds already are not traced again. Each cube map has its own seed, derived from `settings.seed` and k, and
 /// pages are appended in order: the same job gives the same bytes for any number of threads, interrupted or not.
@@ -83,9 +84,9 @@ pub fn trace_cube_maps(
 fn encode_cube_map(map: &CubeMap, codec: Codec, shape: PageShape, levels: usize) -> Result<Vec<EncodedPage>, CaptureError> {
     let faces = map.texels.chunks(map.size * map.size).map(<[_]>::as_flattened);
     let mut pages = faces.clone().map(|face| encode_as(codec, &shape, face)).collect::<Result<Vec<_>, _>>()?;
-    let mut finer = faces.map(|face| Page::from_f32(shape, face)).collect::<Result<Vec<_>, _>>()?;
+    let mut finer = faces.map(|face| with_sky_shares(&Page::from_f32(shape, face)?)).collect::<Result<Vec<_>, _>>()?;
     for _ in 0..levels {
-        finer = finer.iter().map(|face| halved(face, 3)).collect::<Result<_, _>>()?;
+        finer = finer.iter().map(|face| halved(face, 4)).collect::<Result<_, _>>()?;
         let level = stacked(&finer)?;
         pages.push(encode_as(codec, &level.shape(), &level.to_f32())?);
     }

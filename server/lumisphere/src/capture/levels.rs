@@ -1,7 +1,7 @@
 //! Coarser levels of cube-map faces, for reads over more than a texel: each is the one before it, halved.
 //!
-//! Level 0 is the faces as captured. Level l ≥ 1 has faces of size / 2ˡ texels an edge; a texel is the mean of four of the level before,
-//! as that is stored. Halving goes on while sizes are even and at least [`LEAST_FACE_SIZE`] texels result.
+//! Level 0 is the faces as captured: R, G, B, distance. Level l ≥ 1 has faces of size / 2ˡ texels an edge, R, G, B and the share of the texel
+//! through which light comes from infinity; a texel is the mean of four of the level before, as that is stored. Halving goes on while sizes are even and at least [`LEAST_FACE_SIZE`] texels result.
 
 use crate::textures::{Page, PageShape, StoreError};
 
@@ -37,6 +37,25 @@ fn mean(values: [f32; 4]) -> f32 {
     }
     let (sum, count) = values.into_iter().filter(|v| v.is_finite()).fold((0f32, 0f32), |(sum, count), v| (sum + 0.25 * v, count + 0.25));
     if count > 0.0 { sum / count } else { 0.0 }
+}
+
+/// A face with shares in place of its distances: 1 where a texel sees infinitely far, 0 where not.
+pub fn with_sky_shares(face: &Page) -> Result<Page, StoreError> {
+    let shape = face.shape();
+    if shape.channels != 4 {
+        return Err(StoreError::InvalidPage { reason: format!("{} channels, R, G, B and distance expected", shape.channels) });
+    }
+    let mut values = face.to_f32();
+    values.iter_mut().skip(3).step_by(4).for_each(|distance| *distance = sky_share(*distance, 0));
+    Page::from_f32(shape, &values)
+}
+
+/// The share of a texel through which light comes from infinity, told by the fourth channel of its level.
+pub fn sky_share(fourth: f32, level: u32) -> f32 {
+    if level > 0 {
+        return fourth;
+    }
+    if fourth == f32::INFINITY { 1.0 } else { 0.0 }
 }
 
 /// Of what is stored, scene units: its inverse is far from overflow.

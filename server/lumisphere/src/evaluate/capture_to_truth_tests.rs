@@ -13,7 +13,7 @@ use crate::progress::Unattended;
 use crate::render::Renderer;
 use crate::representations::offset_surface_light_field as oslf;
 use crate::representations::{FrameRequest, Outputs, Refine, RenderError, Representation};
-use crate::scenes::{LoadOptions, SceneBundle, load};
+use crate::scenes::{LoadOptions, Relighting, SceneBundle, load};
 use crate::textures::{Codec, Page, PageId, PixelFormat, Publication, Store, StoreOptions};
 use oslf::tests::fixture::MemoryPages;
 use oslf::{Blend, Component, ConstructSettings, Filter, OffsetSurfaceLightField, Spacing, construct, from_parts};
@@ -137,7 +137,13 @@ impl Errors {
 
 fn measured(scene: &Scene, stored: &Stored) -> Errors {
     let setting = |component, blend| {
-        Settings::OffsetSurfaceLightField(oslf::Settings { component, blend, specular_reflectance: Vec3::ONE, filter: Filter::Footprint })
+        Settings::OffsetSurfaceLightField(oslf::Settings {
+            component,
+            blend,
+            specular_reflectance: Vec3::ONE,
+            filter: Filter::Footprint,
+            light: Relighting::NONE,
+        })
     };
     let mirrors = BLENDS.into_iter().chain([Blend::EnvironmentMap]).map(|blend| setting(Component::Mirror, blend));
     let settings: Vec<Settings> = std::iter::once(setting(Component::Reconstruction, Blend::Distance)).chain(mirrors).collect();

@@ -9,6 +9,8 @@ mod csv;
 pub mod fits;
 mod metric;
 pub mod pareto;
+#[cfg(test)]
+mod relighting_tests;
 mod report;
 mod row;
 mod sweep;
@@ -22,10 +24,11 @@ use crate::geometry::Camera;
 use crate::images::{CompareError, CompareOptions, Image, absolute_error_image, compare};
 use crate::progress::{Cancelled, Progress};
 use crate::radiometry::brdf::BrdfModel;
+use crate::radiometry::dielectric::Dielectric;
 use crate::raytrace::{TraceError, TraceSettings};
 use crate::render::Backend;
 use crate::representations::{Kind, Settings};
-use crate::scenes::Scene;
+use crate::scenes::{Relighting, Scene};
 use row::Total;
 
 pub use chart::{chart, on_front};
@@ -122,21 +125,48 @@ pub fn evaluate<E: std::error::Error>(
     if brdfs.len() > MOST_BRDFS {
         return Err(EvaluateError::Plan(format!("{} BRDFs, at most {MOST_BRDFS} expected", brdfs.len())));
     }
+    let mut bodies: Vec<Dielectric> = Vec::new();
+    for body in plan.settings.iter().filter_map(|s| s.dielectric()) {
+        if !bodies.contains(&body) {
+            bodies.push(body);
+        }
+    }
+    if bodies.len() > MOST_BRDFS {
+        return Err(EvaluateError::Plan(format!("{} clear bodies, at most {MOST_BRDFS} expected", bodies.len())));
+    }
     for camera in &plan.cameras {
         plan.settings.iter().try_for_each(|s| s.check_frame(camera)).map_err(|e| EvaluateError::Plan(e.to_string()))?;
     }
     let object = scene.object(&plan.object).ok_or_else(|| EvaluateError::Plan(format!("scene has no object {:?}", plan.object)))?;
-    let truths = TruthRenderer::new(scene, object)?;
+    let mut lights: Vec<Relighting> = Vec::new();
+    for light in plan.settings.iter().map(Settings::light) {
+        if !lights.contains(&light) {
+            lights.push(light);
+        }
+    }
+    if lights.len() > MOST_LIGHTS {
+        return Err(EvaluateError::Plan(format!("settings in {} different lights, at most {MOST_LIGHTS} expected", lights.len())));
+    }
+    let as_captured = TruthRenderer::new(scene, object)?;
+    let truths: Vec<TruthRenderer> = lights.iter().map(|light| as_captured.relit(scene, light)).collect();
     let slugs = slugs(&plan.settings);
     let mut totals: Vec<Total> = plan.settings.iter().map(|s| Total::new(truths_of(s, plan))).collect();
     let steps = (plan.cameras.len() * (plan.settings.len() + 1)) as u64;
     let mut done = 0;
     for (v, camera) in plan.cameras.iter().enumerate() {
         progress.report("tracing the truth", done, steps);
-        let wanted: Vec<Truth> = plan.settings.iter().flat_map(|s| truths_of(s, plan)).collect();
-        let mut view = truths.view(camera, &wanted, &plan.trace, progress)?;
-        truths.add_glossy(&mut view, camera, &brdfs, &plan.trace, progress)?;
-        if !view.mask.contains(&true) {
+        let mut views = Vec::with_capacity(lights.len());
+        for (light, truths) in lights.iter().zip(&truths) {
+            let lit: Vec<&Settings> = plan.settings.iter().filter(|s| s.light() == *light).collect();
+            let wanted: Vec<Truth> = lit.iter().flat_map(|s| truths_of(s, plan)).collect();
+            let brdfs: Vec<BrdfModel> = lit.iter().filter_map(|s| s.brdf()).map(BrdfModel::from).collect();
+            let mut view = truths.view(camera, &wanted, &plan.trace, progress)?;
+            truths.add_glossy(&mut view, camera, &brdfs, &plan.trace, progress)?;
+            let bodies: Vec<Dielectric> = lit.iter().filter_map(|s| s.dielectric()).collect();
+            truths.add_clear(&mut view, camera, &bodies, &plan.trace, progress)?;
+            views.push(view);
+        }
+        if !views[0].mask.contains(&true) {
             return Err(EvaluateError::Plan(format!("camera {v} shows no pixel of object {:?} with all its neighbours", plan.object)));
         }
         done += 1;
@@ -145,11 +175,13 @@ pub fn evaluate<E: std::error::Error>(
             progress.report("rendering and comparing", done, steps);
             let frame = timed(plan.timed_frames, total, progress, &mut || render(camera, s))?;
             let settings = &plan.settings[s];
+            let of_light = lights.iter().position(|light| *light == settings.light());
+            let view = &views[of_light.expect("gathered from the settings")];
             for truth in truths_of(settings, plan) {
                 let reference = view.reference(settings, truth);
                 total.add(truth, compare(&reference, &frame, Some(&view.mask), CompareOptions::STANDARD)?);
                 let error = absolute_error_image(&reference, &frame)?;
-                let names = PictureNames::new(v, settings.name().component, &slugs[s], truth);
+                let names = PictureNames::new(v, &settings.name(), &slugs[s], truth);
                 for (name, image) in [(names.truth, &reference), (names.frame, &frame), (names.error, &error)] {
                     keep_new(name, image).map_err(EvaluateError::Other)?;
                 }
@@ -162,13 +194,18 @@ pub fn evaluate<E: std::error::Error>(
     Ok(totals.into_iter().enumerate().flat_map(of_setting).collect())
 }
 
-/// A view's truths are held together: one picture a BRDF.
+/// A view's truths are held together: one picture a BRDF and light.
 const MOST_BRDFS: usize = 8;
+/// Each has the sky's tables.
+const MOST_LIGHTS: usize = 8;
 
 // What a setting is compared with: what is no mirror has one truth only.
 fn truths_of(settings: &Settings, plan: &Plan) -> Vec<Truth> {
     if settings.kind() == Kind::ParameterMap {
         return vec![Truth::AsAuthored];
+    }
+    if settings.dielectric().is_some() {
+        return vec![Truth::OneRefraction];
     }
     match (settings.brdf(), settings.reflection()) {
         (Some(_), _) => vec![Truth::OneGlossyReflection],

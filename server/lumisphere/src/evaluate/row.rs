@@ -13,7 +13,7 @@ use crate::representations::SettingName;
 pub struct Row {
     /// Which of the plan's settings.
     pub setting_index: usize,
-    /// What was shown and how: component, blend, exponent.
+    /// What was shown and how: component, blend, exponent, light.
     #[serde(flatten)]
     pub setting: SettingName,
     /// What computed it: `gpu`, `cpu`, or `cpu+gpu` where the CPU stood in for some frames.
@@ -42,7 +42,7 @@ pub struct Row {
 /// but for what settings share.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PictureNames {
-    /// What is true; shared by all settings of one component, glossy ones aside.
+    /// What is true; shared by all settings of one component, glossy ones and those in other light aside.
     pub truth: String,
     /// What was rendered.
     pub frame: String,
@@ -52,9 +52,10 @@ pub struct PictureNames {
 
 impl PictureNames {
     /// `slug` names the setting among those of the evaluation.
-    pub(super) fn new(view: usize, component: &str, slug: &str, truth: Truth) -> Self {
-        // What is true of a BRDF is so of one setting.
-        let of = if truth == Truth::OneGlossyReflection { slug } else { component };
+    pub(super) fn new(view: usize, setting: &SettingName, slug: &str, truth: Truth) -> Self {
+        // What is true of a BRDF, or in other light, is so of one setting.
+        let is_its_own = matches!(truth, Truth::OneGlossyReflection | Truth::OneRefraction) || setting.light.is_some();
+        let of = if is_its_own { slug } else { setting.component };
         let truth = truth.name();
         Self {
             truth: format!("view-{view:02}-{of}-{truth}-truth"),
@@ -96,7 +97,7 @@ impl Total {
         let backend = self.backends.iter().copied().collect::<Vec<_>>().join("+");
         let row = |(truth, views): (Truth, Vec<Comparison>)| Row {
             setting_index,
-            pictures: PictureNames::new(0, setting.component, slug, truth),
+            pictures: PictureNames::new(0, &setting, slug, truth),
             setting: setting.clone(),
             backend: backend.clone(),
             truth,
@@ -162,7 +163,8 @@ mod tests {
         }
     }
 
-    const NAME: SettingName = SettingName { component: "mirror", blend: Some("normal"), exponent: Some(4.0), filter: "footprint" };
+    const NAME: SettingName =
+        SettingName { component: "mirror", blend: Some("normal"), exponent: Some(4.0), filter: "footprint", light: None };
 
     #[test]
     fn times_are_the_median_and_the_95th_percentile_of_all_views() {

@@ -9,9 +9,10 @@ use crate::geometry::Camera;
 use crate::images::Image;
 use crate::progress::{Cancelled, Progress};
 use crate::radiometry::brdf::BrdfModel;
+use crate::radiometry::dielectric::Dielectric;
 use crate::raytrace::{Appearance, TraceError, TraceSettings, Tracer};
 use crate::representations::Settings;
-use crate::scenes::Scene;
+use crate::scenes::{Relighting, Scene};
 
 /// What is true.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
@@ -27,6 +28,8 @@ pub enum Truth {
     PhysicalMirror,
     /// One reflection by the BRDF that is shown, over the diffuse scene.
     OneGlossyReflection,
+    /// One way through the clear body that is shown, and one reflection outside, over the diffuse scene.
+    OneRefraction,
 }
 
 impl Truth {
@@ -38,6 +41,7 @@ impl Truth {
             Self::OneReflection => "one_reflection",
             Self::PhysicalMirror => "physical_mirror",
             Self::OneGlossyReflection => "one_glossy_reflection",
+            Self::OneRefraction => "one_refraction",
         }
     }
 
@@ -48,7 +52,7 @@ impl Truth {
             Self::AsAuthored => Some(Appearance::AsAuthored),
             Self::OneReflection => Some(Appearance::OneMirror { reflectance: Vec3::ONE }),
             Self::PhysicalMirror => Some(Appearance::PhysicalMirror { reflectance: Vec3::ONE }),
-            Self::OneGlossyReflection => None,
+            Self::OneGlossyReflection | Self::OneRefraction => None,
         }
     }
 }
@@ -66,6 +70,7 @@ pub struct TruthRenderer {
 pub struct ViewTruth {
     images: BTreeMap<Truth, Image>,
     glossy: Vec<(BrdfModel, Image)>,
+    clear: Vec<(Dielectric, Image)>,
     /// Pixels that count: one fold of the object's front fills them and their eight neighbours.
     pub mask: Vec<bool>,
     object: Vec<bool>,
@@ -75,6 +80,11 @@ impl TruthRenderer {
     /// `object` indexes `scene.objects`.
     pub fn new(scene: &Scene, object: usize) -> Result<Self, TraceError> {
         Ok(Self { tracer: Tracer::new(scene)?, object })
+    }
+
+    /// The same in other light.
+    pub fn relit(&self, scene: &Scene, light: &Relighting) -> Self {
+        Self { tracer: self.tracer.relit(&scene.environment, light), object: self.object }
     }
 
     /// The truths in `wanted`, and the diffuse one, seen from `camera`; glossy ones are for `add_glossy`. Around the object, which enters only the windows of FLIP and SSIM at
@@ -97,7 +107,7 @@ impl TruthRenderer {
                 images.insert(*truth, trace_object(&tracer, &object, &all.radiance, camera, trace, progress)?);
             }
         }
-        Ok(ViewTruth { images, glossy: Vec::new(), mask, object })
+        Ok(ViewTruth { images, glossy: Vec::new(), clear: Vec::new(), mask, object })
     }
 
     /// Adds to `view`, which `camera` sees, the truth of every BRDF in `brdfs` that it does not hold: one reflection by the BRDF, its diffuse
@@ -115,6 +125,27 @@ impl TruthRenderer {
                 let tracer = self.tracer.with_appearance(self.object, Appearance::OneGlossy { brdf: brdf.clone() });
                 let image = trace_object(&tracer, &view.object, &view.images[&Truth::Diffuse], camera, trace, progress)?;
                 view.glossy.push((brdf.clone(), image));
+            }
+        }
+        Ok(())
+    }
+}
+
+impl TruthRenderer {
+    /// Adds to `view`, which `camera` sees, the truth of every clear body in `bodies` that it does not hold.
+    pub fn add_clear(
+        &self,
+        view: &mut ViewTruth,
+        camera: &Camera,
+        bodies: &[Dielectric],
+        trace: &TraceSettings,
+        progress: &dyn Progress,
+    ) -> Result<(), Cancelled> {
+        for dielectric in bodies {
+            if view.clear(dielectric).is_none() {
+                let tracer = self.tracer.with_appearance(self.object, Appearance::OneRefraction { dielectric: *dielectric });
+                let image = trace_object(&tracer, &view.object, &view.images[&Truth::Diffuse], camera, trace, progress)?;
+                view.clear.push((*dielectric, image));
             }
         }
         Ok(())
@@ -143,11 +174,19 @@ impl ViewTruth {
         self.glossy.iter().find(|(known, _)| known == brdf).map(|(_, image)| image)
     }
 
+    /// What a frame should look like whose object is a clear body. None unless it was added.
+    pub fn clear(&self, dielectric: &Dielectric) -> Option<&Image> {
+        self.clear.iter().find(|(known, _)| known == dielectric).map(|(_, image)| image)
+    }
+
     /// What a frame with `settings` should look like: as the BRDF says where there is one (that was added), else the diffuse part, the reflected part times C_s, or their sum on the object;
     /// around the object always the diffuse scene. `truth` was among those wanted.
     pub fn reference(&self, settings: &Settings, truth: Truth) -> Image {
         if let Some(glossy) = settings.brdf().and_then(|brdf| self.glossy(&brdf.into())) {
             return glossy.clone();
+        }
+        if let Some(clear) = settings.dielectric().and_then(|dielectric| self.clear(&dielectric)) {
+            return clear.clone();
         }
         if truth == Truth::AsAuthored {
             return self.images[&truth].clone();

@@ -11,7 +11,7 @@ use crate::geometry::Camera;
 use crate::progress::{Cancelled, Progress};
 use crate::raytrace::{Appearance, Seen, TraceError, TraceSettings, Tracer};
 use crate::representations::{Kind, Outputs, Pixels, Provenance, Settings};
-use crate::scenes::Scene;
+use crate::scenes::{Environment, Relighting, Scene};
 
 /// Paths of one pass, of all its pixels together: tens of seconds of two cores.
 pub const MOST_PATHS_PER_PASS: u64 = 1 << 24;
@@ -26,7 +26,10 @@ const SEED: u64 = 0x6772_6f75_6e64;
 /// A scene of which truths are traced, any object's.
 pub struct TruthPasses {
     tracer: Tracer,
+    environment: Environment,
     objects: Vec<String>,
+    /// In the other light that was asked for last.
+    relit: Option<(Relighting, Tracer)>,
 }
 
 /// Which pass of what.
@@ -36,7 +39,7 @@ pub struct TruthPass<'a> {
     pub object: &'a str,
     /// Of the capture's paths.
     pub max_bounces: u32,
-    /// Whose truth: component, reflectance and BRDF count, how texels are blended and filtered does not.
+    /// Whose truth: component, reflectance, BRDF, clear body and light count, how texels are blended and filtered does not.
     pub settings: &'a Settings,
     /// From 0.
     pub pass: u32,
@@ -81,11 +84,23 @@ enum Parts {
 impl TruthPasses {
     /// Makes the scene ready; it is not needed afterwards.
     pub fn new(scene: &Scene) -> Result<Self, TraceError> {
-        Ok(Self { tracer: Tracer::new(scene)?, objects: scene.objects.iter().map(|o| o.name.clone()).collect() })
+        let objects = scene.objects.iter().map(|o| o.name.clone()).collect();
+        Ok(Self { tracer: Tracer::new(scene)?, environment: scene.environment.clone(), objects, relit: None })
+    }
+
+    fn in_light(&mut self, light: Relighting) -> &Tracer {
+        if !light.changes_light() {
+            return &self.tracer;
+        }
+        if self.relit.as_ref().is_none_or(|(known, _)| *known != light) {
+            self.relit = None;
+            self.relit = Some((light, self.tracer.relit(&self.environment, &light)));
+        }
+        self.relit.as_ref().map_or(&self.tracer, |(_, tracer)| tracer)
     }
 
     /// One pass seen from `camera`, on the threads of the caller's pool; `progress` can end it between two tiles.
-    pub fn trace(&self, pass: &TruthPass<'_>, camera: &Camera, progress: &dyn Progress) -> Result<Pixels, TruthError> {
+    pub fn trace(&mut self, pass: &TruthPass<'_>, camera: &Camera, progress: &dyn Progress) -> Result<Pixels, TruthError> {
         let object = self.objects.iter().position(|name| name == pass.object);
         let object = object.ok_or_else(|| TruthError::NoObject { name: pass.object.into() })?;
         let pixels = u64::from(camera.intrinsics().width_px) * u64::from(camera.intrinsics().height_px);
@@ -95,8 +110,9 @@ impl TruthPasses {
         }
         let settings = TraceSettings { samples_per_pixel: paths, max_bounces: pass.max_bounces, seed: SEED };
         let first = pass.pass.min(MOST_TRUTH_PASSES) * paths;
+        let tracer = self.in_light(pass.settings.light());
         let seen = |appearance, wanted: &(dyn Fn(usize, usize) -> bool + Sync)| {
-            self.tracer.with_appearance(object, appearance).seen(first, wanted, camera, &settings, progress)
+            tracer.with_appearance(object, appearance).seen(first, wanted, camera, &settings, progress)
         };
         let everywhere = |_, _| true;
         let (over, join): (_, fn(&mut Seen, &Seen)) = match parts(pass.settings) {
@@ -117,6 +133,9 @@ impl TruthPasses {
 fn parts(settings: &Settings) -> Parts {
     if settings.kind() == Kind::ParameterMap {
         return Parts::Object(Appearance::AsAuthored);
+    }
+    if let Some(dielectric) = settings.dielectric() {
+        return Parts::Whole(Appearance::OneRefraction { dielectric });
     }
     match (settings.brdf(), settings.reflection()) {
         (Some(brdf), _) => Parts::Whole(Appearance::OneGlossy { brdf: brdf.into() }),
@@ -149,23 +168,26 @@ mod tests {
     use super::*;
     use crate::progress::Unattended;
     use crate::radiometry::brdf::{AnalyticBrdf, CookTorrance};
+    use crate::radiometry::dielectric::{Body, Dielectric};
     use crate::render::Accumulator;
     use crate::representations::{offset_surface_light_field as oslf, parameter_map};
+    use crate::scenes::PointLight;
 
     const BOUNCES: u32 = 2;
     const COLOR_ALONE: Outputs = Outputs { depth: false, provenance: false };
 
     fn of_light_field(component: oslf::Component) -> Settings {
         let (blend, specular_reflectance, filter) = (oslf::Blend::Average, Vec3::new(0.5, 0.25, 1.0), oslf::Filter::Footprint);
-        Settings::OffsetSurfaceLightField(oslf::Settings { component, blend, specular_reflectance, filter })
+        let light = Relighting::NONE;
+        Settings::OffsetSurfaceLightField(oslf::Settings { component, blend, specular_reflectance, filter, light })
     }
 
     fn pass<'a>(settings: &'a Settings, pass: u32, paths_per_pixel: u32) -> TruthPass<'a> {
         TruthPass { object: "ball", max_bounces: BOUNCES, settings, pass, paths_per_pixel, outputs: COLOR_ALONE }
     }
 
-    fn mean_of(passes: &TruthPasses, settings: &Settings, camera: &Camera, count: u32, paths: u32) -> Pixels {
-        let trace = |k| passes.trace(&pass(settings, k, paths), camera, &Unattended).unwrap();
+    fn mean_of(passes: &mut TruthPasses, settings: &Settings, camera: &Camera, count: u32, paths: u32) -> Pixels {
+        let mut trace = |k| passes.trace(&pass(settings, k, paths), camera, &Unattended).unwrap();
         let mut mean = Accumulator::new(trace(0));
         (1..count).for_each(|k| mean.add(&trace(k)));
         mean.pixels().clone()
@@ -174,9 +196,9 @@ mod tests {
     #[test]
     fn passes_go_on_where_the_one_before_ended() {
         let (scene, camera) = ball();
-        let passes = TruthPasses::new(&scene).unwrap();
+        let mut passes = TruthPasses::new(&scene).unwrap();
         let settings = of_light_field(oslf::Component::Full);
-        let (in_eight, in_one) = (mean_of(&passes, &settings, &camera, 8, 2), mean_of(&passes, &settings, &camera, 1, 16));
+        let (in_eight, in_one) = (mean_of(&mut passes, &settings, &camera, 8, 2), mean_of(&mut passes, &settings, &camera, 1, 16));
         for (a, b) in in_eight.color.iter().zip(&in_one.color) {
             // The same sixteen paths, summed in another order: a few roundings of f32.
             assert!((a - b).abs() <= 1e-5 * b.abs().max(1.0), "{a} of eight passes, {b} of one");
@@ -188,7 +210,7 @@ mod tests {
     #[test]
     fn the_mean_of_many_passes_is_the_reference_of_the_evaluation() {
         let (scene, camera) = ball();
-        let passes = TruthPasses::new(&scene).unwrap();
+        let mut passes = TruthPasses::new(&scene).unwrap();
         let brdf = AnalyticBrdf::from(CookTorrance::new(glam::Vec2::splat(0.3), Vec3::ONE, Vec3::ONE).unwrap());
         let glossy = oslf::Component::Glossy(oslf::Gloss { brdf, directions: 1, pass: 0 });
         let of_map = Settings::ParameterMap(parameter_map::Settings::default());
@@ -202,7 +224,7 @@ mod tests {
         for settings in fields.iter().chain([&of_map]) {
             let truth = if settings.kind() == Kind::ParameterMap { Truth::AsAuthored } else { Truth::OneReflection };
             let reference = view.reference(settings, truth);
-            let traced = mean_of(&passes, settings, &camera, 64, 4);
+            let traced = mean_of(&mut passes, settings, &camera, 64, 4);
             let counted: Vec<usize> = (0..view.mask.len()).filter(|i| view.mask[*i]).collect();
             let of = |at: usize| Vec3::from_slice(&traced.color[3 * at..3 * at + 3]);
             let pairs: Vec<(Vec3, Vec3)> = counted.iter().map(|i| (of(*i), Vec3::from(reference.rgb(*i)))).collect();
@@ -219,9 +241,45 @@ mod tests {
     }
 
     #[test]
+    fn other_light_and_clear_bodies_are_those_of_the_evaluation() {
+        let (scene, camera) = ball();
+        let mut passes = TruthPasses::new(&scene).unwrap();
+        let trace = TraceSettings { samples_per_pixel: 256, max_bounces: BOUNCES, seed: 3 };
+        let renderer = TruthRenderer::new(&scene, scene.object("ball").unwrap()).unwrap();
+        let dielectric = Dielectric::new(1.5, Body::Solid).unwrap();
+        let lamp = PointLight { position: Vec3::new(3.0, 4.0, 2.0), intensity: Vec3::new(20.0, 5.0, 1.0) };
+        let light = Relighting::new(1.0, &[lamp]).unwrap();
+        let in_light = |component, light| match of_light_field(component) {
+            Settings::OffsetSurfaceLightField(settings) => Settings::OffsetSurfaceLightField(oslf::Settings { light, ..settings }),
+            other => other,
+        };
+        let cases = [
+            in_light(oslf::Component::Reconstruction, light),
+            in_light(oslf::Component::Refraction(dielectric), Relighting::NONE),
+            // What was relit last is not what is asked for now.
+            in_light(oslf::Component::Reconstruction, Relighting::NONE),
+        ];
+        let mut means: Vec<Vec3> = Vec::new();
+        for settings in &cases {
+            let relit = renderer.relit(&scene, &settings.light());
+            let mut view = relit.view(&camera, &[Truth::Diffuse], &trace, &Unattended).unwrap();
+            relit.add_clear(&mut view, &camera, &[dielectric], &trace, &Unattended).unwrap();
+            let reference = view.reference(settings, Truth::Diffuse);
+            let traced = mean_of(&mut passes, settings, &camera, 64, 4);
+            let counted: Vec<usize> = (0..view.mask.len()).filter(|i| view.mask[*i]).collect();
+            let mean = |of: &dyn Fn(usize) -> Vec3| counted.iter().map(|i| of(*i)).sum::<Vec3>() / counted.len() as f32;
+            let seen = mean(&|i| Vec3::from_slice(&traced.color[3 * i..3 * i + 3]));
+            let expected = mean(&|i| Vec3::from(reference.rgb(i)));
+            assert!(((seen - expected) / expected).abs().max_element() < 0.03, "{settings:?}: {seen}, {expected} expected");
+            assert!(means.iter().all(|other| other.distance(seen) > 0.1 * seen.length()), "{settings:?} changes nothing");
+            means.push(seen);
+        }
+    }
+
+    #[test]
     fn depth_is_along_the_rays_and_nothing_claims_a_sample() {
         let (scene, camera) = ball();
-        let passes = TruthPasses::new(&scene).unwrap();
+        let mut passes = TruthPasses::new(&scene).unwrap();
         let settings = of_light_field(oslf::Component::Mirror);
         let outputs = Outputs { depth: true, provenance: true };
         let seen = passes.trace(&TruthPass { outputs, ..pass(&settings, 0, 1) }, &camera, &Unattended).unwrap();
@@ -235,7 +293,7 @@ mod tests {
     #[test]
     fn what_cannot_be_traced_is_refused_by_name() {
         let (scene, camera) = ball();
-        let passes = TruthPasses::new(&scene).unwrap();
+        let mut passes = TruthPasses::new(&scene).unwrap();
         let settings = of_light_field(oslf::Component::Mirror);
         let error = passes.trace(&TruthPass { object: "cube", ..pass(&settings, 0, 1) }, &camera, &Unattended).unwrap_err();
         assert_eq!(error.to_string(), "the scene has no object \"cube\"");
@@ -254,7 +312,7 @@ mod tests {
             }
         }
         let (scene, camera) = ball();
-        let passes = TruthPasses::new(&scene).unwrap();
+        let mut passes = TruthPasses::new(&scene).unwrap();
         let settings = of_light_field(oslf::Component::Full);
         assert!(matches!(passes.trace(&pass(&settings, 0, 1), &camera, &Gone), Err(TruthError::Cancelled(_))));
     }

@@ -76,6 +76,33 @@ impl Bvh {
         bvh
     }
 
+    /// Nodes, then packets, four numbers at a time, and where packets begin: as `refraction.wgsl` reads them. A node is the least and greatest
+    /// coordinates of its children axis by axis, then the children: a node's number, or −1 − a packet's. A packet is corners, two edges,
+    /// and triangles, −1 for none. None where a number is too large to be exact.
+    #[cfg(feature = "gpu")]
+    pub fn as_vectors(&self) -> Option<(Vec<[f32; 4]>, usize)> {
+        const EXACT: usize = 1 << 24;
+        if self.nodes.len().max(4 * self.packets.len()) >= EXACT
+            || self.packets.iter().flat_map(|p| p.triangle).any(|t| t != u32::MAX && t as usize >= EXACT)
+        {
+            return None;
+        }
+        let mut vectors = Vec::with_capacity(7 * self.nodes.len() + 10 * self.packets.len());
+        for node in &self.nodes {
+            // Of children that are not there both sides lie beyond everything: in whatever order they are taken, they are not met.
+            let is_there = |lane: usize| node.bounds[0][0][lane] <= node.bounds[0][1][lane];
+            let side = |bounds: &Vec4| std::array::from_fn(|lane| if is_there(lane) { bounds[lane] } else { BEYOND });
+            vectors.extend(node.bounds.iter().flatten().map(side));
+            vectors.push(node.children.map(|child| if child & LEAF == 0 { child as f32 } else { -1.0 - (child & !LEAF) as f32 }));
+        }
+        let first_packet = vectors.len();
+        for Packet { corner, edge_u, edge_v, triangle } in &self.packets {
+            vectors.extend(corner.iter().chain(edge_u).chain(edge_v).map(Vec4::to_array));
+            vectors.push(triangle.map(|t| if t == u32::MAX { -1.0 } else { t as f32 }));
+        }
+        Some((vectors, first_packet))
+    }
+
     fn push_packet(&mut self, binary: &Bvh2, leaf: &Bvh2Node, triangles: &[[Vec3; 3]]) -> u32 {
         let mut packet = Packet::EMPTY;
         let first = leaf.first_index as usize;
@@ -111,6 +138,9 @@ impl Packet {
         self.triangle[lane] = triangle;
     }
 }
+
+#[cfg(feature = "gpu")]
+const BEYOND: f32 = 3e38;
 
 /// The binary tree with at most `LANES` triangles a leaf. Long triangles are split into several boxes first.
 fn build_binary(triangles: &[[Vec3; 3]]) -> Bvh2 {

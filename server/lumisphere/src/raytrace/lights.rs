@@ -9,7 +9,7 @@ use super::sky::{Sky, luminance};
 use super::sky_cells::NormalBin;
 use super::surfaces::{SurfaceTriangle, offset_along};
 use super::warp;
-use crate::scenes::{PointLight, Scene};
+use crate::scenes::{Environment, PointLight, Scene};
 
 /// All emitters of a scene.
 #[derive(Debug, Clone)]
@@ -53,6 +53,12 @@ impl Lights {
     /// The same lights where only these triangles are left.
     pub fn for_triangles(&self, triangles: &[SurfaceTriangle], radius: f32) -> Self {
         Self::gather(self.sky.clone(), self.emission.clone(), self.points.clone(), triangles, radius)
+    }
+
+    /// The same lights with another environment, and point lights more.
+    pub fn relit(&self, environment: &Environment, added: &[PointLight], triangles: &[SurfaceTriangle], radius: f32) -> Self {
+        let points = self.points.iter().chain(added).copied().collect();
+        Self::gather(Sky::new(environment), self.emission.clone(), points, triangles, radius)
     }
 
     fn gather(sky: Sky, emission: Vec<Vec3>, points: Vec<PointLight>, triangles: &[SurfaceTriangle], radius: f32) -> Self {

@@ -16,16 +16,17 @@ use super::low_discrepancy::SampleSequence;
 use super::packets::{PacketStack, RAYS, RayPacket};
 use super::scattering::{Lobe, Scatterer, facing};
 use super::sky_cells::NormalBin;
-use super::surfaces::{Reflectance, SurfacePoint, SurfaceTriangle, TexelGrid, offset_along};
-use super::traverse::RawHit;
+use super::surfaces::{Reflectance, SurfacePoint, SurfaceTriangle, TexelGrid, offset_along, rounding_at};
+use super::traverse::{RawHit, Stack};
 use super::warp::power_heuristic;
 use crate::radiometry::brdf::BrdfModel;
+use crate::radiometry::dielectric::{BodyPoint, Dielectric, outward};
 
 /// Everything a path reads: shared, immutable.
 #[derive(Debug)]
 pub(super) struct World {
-    pub bvh: Bvh,
-    pub triangles: Vec<SurfaceTriangle>,
+    pub bvh: Arc<Bvh>,
+    pub triangles: Arc<[SurfaceTriangle]>,
     pub textures: Arc<[TexelGrid]>,
     pub lights: Lights,
     /// Largest absolute coordinate of the geometry.
@@ -48,6 +49,7 @@ pub(super) enum Once {
     Mirror(Vec3),
     /// Index into `Look::brdfs`.
     Glossy(usize),
+    Clear(Dielectric),
 }
 
 /// One thread's walk through the world: put paths in, `trace` them, read `radiance`, `clear`.
@@ -171,6 +173,7 @@ impl<'a> PathTracer<'a> {
         let path = &mut self.paths[index as usize];
         let (geometric_normal, shading_normal) = facing(&point, -path.direction);
         let lobe = match once {
+            Once::Clear(dielectric) => return self.pass_through(index, &point, shading_normal, &dielectric),
             Once::Mirror(reflectance) => Lobe::Mirror(reflectance),
             Once::Glossy(brdf) => Lobe::Glossy { brdf: &look.brdfs[brdf], tangent: point.triangle.tangent() },
         };
@@ -188,6 +191,28 @@ impl<'a> PathTracer<'a> {
         let Some(scattered) = scatterer.sample(path.random.pair()) else { return false };
         (path.origin, path.direction, path.throughput, path.pdf) = (from, scattered.wi, scattered.weight, scattered.pdf);
         scattered.weight != Vec3::ZERO
+    }
+
+    /// Turns a path that comes from a camera at a clear body: it is reflected outside, or goes through. Whether it goes on.
+    fn pass_through(&mut self, index: u32, point: &SurfacePoint<'a>, normal: Vec3, dielectric: &Dielectric) -> bool {
+        let world = self.world;
+        let path = &mut self.paths[index as usize];
+        let reflected = dielectric.reflectance(-normal.dot(path.direction));
+        if path.random.pair().x < reflected {
+            let (geometric_normal, lobe) = (facing(point, -path.direction).0, Lobe::Mirror(Vec3::ONE));
+            let scatterer = Scatterer { geometric_normal, shading_normal: normal, wo: -path.direction, lobe };
+            path.direction = scatterer.mirrored();
+            path.origin = leave(point, path.direction);
+            return true;
+        }
+        let object = point.triangle.object;
+        let entry = BodyPoint { position: point.triangle.position(point.u, point.v), normal };
+        let next = |from: &BodyPoint, direction: Vec3| world.next_of_object(object, from, direction);
+        let Some(passage) = dielectric.passage(&entry, path.direction, next) else { return false };
+        path.throughput = Vec3::splat(passage.transmittance / (1.0 - reflected));
+        path.direction = passage.direction;
+        path.origin = leave(passage.exit.as_ref().map_or(point, |exit| &exit.point), passage.direction);
+        true
     }
 
     /// Follows all paths to their ends.
@@ -315,7 +340,35 @@ enum Strategy {
     LightAlone,
 }
 
+/// Where a ray meets the inside of a body.
+struct InnerPoint<'a> {
+    point: SurfacePoint<'a>,
+    body: BodyPoint,
+}
+
+impl AsRef<BodyPoint> for InnerPoint<'_> {
+    fn as_ref(&self) -> &BodyPoint {
+        &self.body
+    }
+}
+
 impl World {
+    /// The next surface of one object alone along a ray from a point of it.
+    fn next_of_object(&self, object: u32, from: &BodyPoint, direction: Vec3) -> Option<InnerPoint<'_>> {
+        let mut stack = Stack::new();
+        let mut origin = offset_along(from.position, from.normal, rounding_at(from.position, self.extent), direction);
+        loop {
+            let hit = self.bvh.nearest(origin, direction, f32::INFINITY, &mut stack)?;
+            let point = SurfacePoint::new(&self.triangles, hit);
+            let (triangle, position) = (point.triangle, point.triangle.position(point.u, point.v));
+            if triangle.object == object {
+                let normal = outward(triangle.shading_normal(point.u, point.v), triangle.front, direction);
+                return Some(InnerPoint { body: BodyPoint { position, normal }, point });
+            }
+            origin = leave(&point, direction);
+        }
+    }
+
     /// Reflected light of one sampled emitter; whose path it is, the caller fills in.
     fn direct(&self, from: Vec3, scatterer: &Scatterer, strategy: Strategy, random: &mut SampleSequence) -> Option<ShadowRay> {
         if !self.lights.can_be_sampled() {

@@ -16,7 +16,8 @@ use super::traverse::Stack;
 use super::warp::even_directions;
 use crate::geometry::Ray;
 use crate::radiometry::brdf::BrdfModel;
-use crate::scenes::{Albedo, Material, Scene};
+use crate::radiometry::dielectric::Dielectric;
+use crate::scenes::{Albedo, Environment, Material, Relighting, Scene};
 
 /// How one chosen object looks, whatever its material says.
 #[derive(Debug, Clone, PartialEq)]
@@ -38,6 +39,12 @@ pub enum Appearance {
     OneGlossy {
         /// All of it, a diffuse part too.
         brdf: BrdfModel,
+    },
+    /// A camera ray that hits the object is reflected outside, or goes through (`Dielectric::passage`) and leaves into the scene in which the
+    /// object is `Diffuse`: what refraction in an offset surface light field should converge to. Costs no bounce.
+    OneRefraction {
+        /// The body that the object's surface is of.
+        dielectric: Dielectric,
     },
     /// A perfect mirror at every hit.
     PhysicalMirror {
@@ -117,7 +124,8 @@ impl Tracer {
         let textures = scene.textures.iter().map(TexelGrid::new).collect();
         let triangles = surfaces::flatten(scene);
         let lights = Lights::new(scene, &triangles, bounding_radius(&triangles));
-        let world = World { bvh: build_tree(&triangles), extent: extent(&triangles), triangles, textures, lights };
+        let bvh = Arc::new(build_tree(&triangles));
+        let world = World { bvh, extent: extent(&triangles), triangles: triangles.into(), textures, lights };
         let authored = Arc::new(reflectance);
         Ok(Self { world: Arc::new(world), look: Arc::new(Look::authored(authored.to_vec(), brdfs)), authored })
     }
@@ -140,6 +148,10 @@ impl Tracer {
                     look.once[object] = Some(Once::Glossy(look.brdfs.len() - 1));
                     authored.diffuse()
                 }
+                Appearance::OneRefraction { dielectric } => {
+                    look.once[object] = Some(Once::Clear(dielectric));
+                    authored.diffuse()
+                }
                 Appearance::PhysicalGlossy { brdf } => Reflectance::glossy(brdf, &mut look.brdfs),
                 Appearance::PhysicalMirror { reflectance } => Reflectance::Mirror(reflectance),
             };
@@ -152,8 +164,19 @@ impl Tracer {
     pub fn without_object(&self, object: usize) -> Self {
         let triangles: Vec<SurfaceTriangle> = self.world.triangles.iter().filter(|t| t.object as usize != object).cloned().collect();
         let lights = self.world.lights.for_triangles(&triangles, bounding_radius(&triangles));
-        let world =
-            World { bvh: build_tree(&triangles), extent: extent(&triangles), triangles, textures: self.world.textures.clone(), lights };
+        let bvh = Arc::new(build_tree(&triangles));
+        let world = World { bvh, extent: extent(&triangles), triangles: triangles.into(), textures: self.world.textures.clone(), lights };
+        Self { world: Arc::new(world), look: self.look.clone(), authored: self.authored.clone() }
+    }
+
+    /// The same scene in other light: `environment` is the one that this was made with. Shares everything large but the sky's tables.
+    pub fn relit(&self, environment: &Environment, light: &Relighting) -> Self {
+        if !light.changes_light() {
+            return self.clone();
+        }
+        let World { bvh, triangles, textures, lights, extent } = &*self.world;
+        let lights = lights.relit(&light.environment(environment), light.point_lights(), triangles, bounding_radius(triangles));
+        let world = World { bvh: bvh.clone(), triangles: triangles.clone(), textures: textures.clone(), lights, extent: *extent };
         Self { world: Arc::new(world), look: self.look.clone(), authored: self.authored.clone() }
     }
 

@@ -22,6 +22,8 @@ use crate::geometry::Camera;
 #[cfg(feature = "gpu")]
 use crate::gpu::{Gpu, GpuCacheStats, GpuError};
 use crate::radiometry::brdf::AnalyticBrdf;
+use crate::radiometry::dielectric::Dielectric;
+use crate::scenes::Relighting;
 #[cfg(feature = "gpu")]
 use crate::textures::{Page, PolicyKind};
 use crate::textures::{PageId, StoreError};
@@ -58,6 +60,7 @@ impl Kind {
 }
 
 /// How to render, by kind.
+#[expect(clippy::large_enum_variant, reason = "250 bytes, copied a few times a frame")]
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Settings {
     /// Component, blend and specular reflectance.
@@ -69,7 +72,7 @@ pub enum Settings {
 /// A setting in reports.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct SettingName {
-    /// `reconstruction`, `mirror`, `full`, `glossy`; of a parameter map `radiance`, `models`, `flags`.
+    /// `reconstruction`, `mirror`, `full`, `glossy`, `refraction`; of a parameter map `radiance`, `models`, `flags`.
     pub component: &'static str,
     /// `distance`, `angle`, `average`, `reflection`, `normal`, `environment_map`, `corrected`; of a reconstruction only the last.
     pub blend: Option<&'static str>,
@@ -77,14 +80,21 @@ pub struct SettingName {
     pub exponent: Option<f32>,
     /// `footprint` or `bilinear`.
     pub filter: &'static str,
+    /// `turned-90-1-lights`; None in the light that was captured.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub light: Option<String>,
 }
 
 impl SettingName {
-    /// Joined by hyphens, for file names; the filter only where it is not the default one.
+    /// Joined by hyphens, for file names; filter and light only where they are not the default ones.
     pub fn slug(&self) -> String {
         let exponent = self.exponent.map(|n| n.to_string());
         let filter = (self.filter != oslf::Filter::default().name()).then_some(self.filter);
-        [Some(self.component), self.blend, exponent.as_deref(), filter].into_iter().flatten().collect::<Vec<_>>().join("-")
+        [Some(self.component), self.blend, exponent.as_deref(), filter, self.light.as_deref()]
+            .into_iter()
+            .flatten()
+            .collect::<Vec<_>>()
+            .join("-")
     }
 }
 
@@ -104,9 +114,15 @@ impl Settings {
                 let has_blend = s.component != oslf::Component::Reconstruction || s.blend == oslf::Blend::Corrected;
                 let blend = has_blend.then_some(s.blend);
                 let exponent = blend.and_then(oslf::Blend::exponent);
-                SettingName { component: s.component.name(), blend: blend.map(oslf::Blend::name), exponent, filter: s.filter.name() }
+                SettingName {
+                    component: s.component.name(),
+                    blend: blend.map(oslf::Blend::name),
+                    exponent,
+                    filter: s.filter.name(),
+                    light: s.light.name(),
+                }
             }
-            Self::ParameterMap(s) => SettingName { component: s.show.name(), blend: None, exponent: None, filter: "bilinear" },
+            Self::ParameterMap(s) => SettingName { component: s.show.name(), blend: None, exponent: None, filter: "bilinear", light: None },
         }
     }
 
@@ -115,9 +131,25 @@ impl Settings {
         match self {
             Self::OffsetSurfaceLightField(s) => match s.component {
                 oslf::Component::Glossy(gloss) => Some(gloss.brdf),
-                oslf::Component::Reconstruction | oslf::Component::Mirror | oslf::Component::Full => None,
+                oslf::Component::Reconstruction | oslf::Component::Mirror | oslf::Component::Full | oslf::Component::Refraction(_) => None,
             },
             Self::ParameterMap(_) => None,
+        }
+    }
+
+    /// The clear body that the object is shown as.
+    pub fn dielectric(&self) -> Option<Dielectric> {
+        match self {
+            Self::OffsetSurfaceLightField(oslf::Settings { component: oslf::Component::Refraction(dielectric), .. }) => Some(*dielectric),
+            Self::OffsetSurfaceLightField(_) | Self::ParameterMap(_) => None,
+        }
+    }
+
+    /// In which light it is shown.
+    pub fn light(&self) -> Relighting {
+        match self {
+            Self::OffsetSurfaceLightField(s) => s.light,
+            Self::ParameterMap(_) => Relighting::NONE,
         }
     }
 
@@ -129,7 +161,7 @@ impl Settings {
                     let component = oslf::Component::Glossy(oslf::Gloss { pass, ..gloss });
                     Some(Self::OffsetSurfaceLightField(oslf::Settings { component, ..s }))
                 }
-                oslf::Component::Reconstruction | oslf::Component::Mirror | oslf::Component::Full => None,
+                oslf::Component::Reconstruction | oslf::Component::Mirror | oslf::Component::Full | oslf::Component::Refraction(_) => None,
             },
             Self::ParameterMap(_) => None,
         }
@@ -156,7 +188,7 @@ impl Settings {
                 oslf::Component::Reconstruction => None,
                 oslf::Component::Mirror => Some((s.specular_reflectance, false)),
                 oslf::Component::Full => Some((s.specular_reflectance, true)),
-                oslf::Component::Glossy(_) => None,
+                oslf::Component::Glossy(_) | oslf::Component::Refraction(_) => None,
             },
             Self::ParameterMap(_) => None,
         }
@@ -355,6 +387,14 @@ pub enum RenderError {
         "which texels depth-corrected reads ask for depends on what is stored; to record a frame another blend than corrected is expected"
     )]
     DependsOnPages,
+    /// Requests of frames in other light, or of clear bodies, cannot be recorded.
+    #[error(
+        "frames in other light and of clear bodies read more than cube maps; to record one no relighting and another component is expected"
+    )]
+    ReadsMore,
+    /// Cube maps that do not tell how much of a coarse texel's light comes from infinity.
+    #[error("the dataset was captured by a version that did not store what frames in other light need: capture it anew")]
+    NoSkyShares,
     /// Settings of another kind than the dataset's.
     #[error("settings are of a {}, the dataset is of another kind", settings.name())]
     OtherKind {

@@ -31,6 +31,7 @@ mod materials;
 mod model;
 mod noise;
 mod objects;
+mod relighting;
 mod scene;
 mod scene_file;
 mod shapes;
@@ -42,6 +43,7 @@ pub use builtin::{BUILTIN_NAMES, BUILTIN_SCENE_PATH, BuiltinOptions, PatchworkOp
 pub use environment::{Layout, from_faces, from_picture};
 pub use error::SceneError;
 pub use files::{DEFAULT_FILE_LIMIT_BYTES, FileError, SceneBundle, SceneFiles, SceneFolder, normalised};
+pub use relighting::{MOST_POINT_LIGHTS, Relighting};
 pub use scene::{Albedo, Environment, EnvironmentMap, Material, NamedCamera, Object, PointLight, Scene, Surface, Texture};
 pub use scene_file::{EnvironmentFile, FORMAT, LoadOptions, bundle, load, referenced_files};
 pub use tea_set::{HISTORIC_TEAPOT_PATCHES, TeaSet, patches as tea_set_patches};

@@ -107,7 +107,7 @@ pub struct Texture {
 }
 
 /// Isotropic light at a point.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PointLight {
     /// World space.
     pub position: Vec3,

@@ -447,6 +447,12 @@ fn thin(m: proto::ThinSpec, field: &str) -> Result<ThinSpec, ApiError> {
     if settings.settings.brdf().is_some() {
         return Err(ApiError::field(at("settings.component"), "GLOSSY, another component expected"));
     }
+    if settings.settings.dielectric().is_some() {
+        return Err(ApiError::field(at("settings.component"), "REFRACTION, another component expected"));
+    }
+    if settings.settings.light().changes_light() {
+        return Err(ApiError::field(at("settings.relighting"), "other light than was captured, none expected"));
+    }
     let metric = match proto::ThinMetric::try_from(m.metric) {
         Ok(proto::ThinMetric::Unspecified | proto::ThinMetric::DeltaE) => ThinMetric::DeltaE,
         Ok(proto::ThinMetric::RmseL) => ThinMetric::RmseLightness,

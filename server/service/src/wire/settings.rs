@@ -3,8 +3,10 @@
 use glam::Vec3;
 use lumisphere::evaluate::{MOST_PATHS_PER_PIXEL, MOST_TRUTH_PASSES};
 use lumisphere::images::{Exposure, JpegQuality, ToneMap};
+use lumisphere::radiometry::dielectric::{Body, Dielectric, MOST_INDEX};
 use lumisphere::representations::offset_surface_light_field as oslf;
 use lumisphere::representations::{Settings, parameter_map};
+use lumisphere::scenes::{MOST_POINT_LIGHTS, PointLight, Relighting};
 
 use super::camera::vec3;
 use super::{count, proto, required, within};
@@ -16,6 +18,8 @@ use crate::errors::{ApiError, Reason};
 const MAX_BRDF_BYTES: usize = 2048;
 /// Default of `Gloss.directions`.
 const DEFAULT_DIRECTIONS: u32 = 64;
+/// Default of `Refraction.index`: glass.
+const DEFAULT_INDEX: f32 = 1.5;
 /// Default N of the blends that have one.
 const DEFAULT_EXPONENT: f32 = 4.0;
 const DEFAULT_JPEG_QUALITY: u8 = 90;
@@ -25,6 +29,9 @@ const DEFAULT_TRUTH_PASSES: u32 = 64;
 /// 2^stops, 2^−stops: what `Exposure` allows.
 const MAX_EXPOSURE_STOPS: f32 = 30.0;
 const MAX_EXPOSURE_GAMMA: f32 = 1000.0;
+const MAX_TURN_DEG: f32 = 360.0;
+/// Coordinates and intensities: their squares are far from overflow.
+const MAX_OF_A_LIGHT: f32 = 1e9;
 
 /// What to compute and where.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -194,13 +201,13 @@ fn parameter_map_settings(message: proto::ParameterMapSettings, field: &str) -> 
 
 fn oslf_settings(message: proto::OffsetSurfaceLightFieldSettings, field: &str) -> Result<oslf::Settings, ApiError> {
     use proto::offset_surface_light_field_settings::Blend;
-    let component = component(message.component, message.gloss, field)?;
+    let component = component(message.component, (message.gloss, message.refraction), field)?;
     let exponent = within(message.exponent.unwrap_or(DEFAULT_EXPONENT), 0.0, 10_000.0, &format!("{field}.exponent"))?;
     let blend = match component {
         // Corrected or not: of others anything will do, nonsense included.
         oslf::Component::Reconstruction if message.blend == Blend::Corrected as i32 => oslf::Blend::Corrected,
         oslf::Component::Reconstruction => oslf::Blend::Distance,
-        oslf::Component::Mirror | oslf::Component::Full | oslf::Component::Glossy(_) => {
+        oslf::Component::Mirror | oslf::Component::Full | oslf::Component::Glossy(_) | oslf::Component::Refraction(_) => {
             blend(message.blend, exponent, &format!("{field}.blend"))?
         }
     };
@@ -209,7 +216,32 @@ fn oslf_settings(message: proto::OffsetSurfaceLightFieldSettings, field: &str) -
         within(value, 0.0, 1.0, &format!("{field}.specular_reflectance.{channel}"))?;
     }
     let filter = filter(message.filter, &format!("{field}.filter"))?;
-    Ok(oslf::Settings { component, blend, specular_reflectance, filter })
+    let light = message.relighting.map_or(Ok(Relighting::NONE), |m| relighting(m, &format!("{field}.relighting")))?;
+    Ok(oslf::Settings { component, blend, specular_reflectance, filter, light })
+}
+
+fn relighting(message: proto::offset_surface_light_field_settings::Relighting, field: &str) -> Result<Relighting, ApiError> {
+    let turn = within(message.environment_turn_deg, -MAX_TURN_DEG, MAX_TURN_DEG, &format!("{field}.environment_turn_deg"))?;
+    let count = message.point_lights.len();
+    if count > MOST_POINT_LIGHTS {
+        return Err(ApiError::field(format!("{field}.point_lights"), format!("{count}, at most {MOST_POINT_LIGHTS} expected")));
+    }
+    let light = |(i, m): (usize, proto::offset_surface_light_field_settings::PointLight)| {
+        let at = |name: &str| format!("{field}.point_lights[{i}].{name}");
+        let position = each_within(vec3(required(m.position, &at("position"))?), -MAX_OF_A_LIGHT, &at("position"))?;
+        let intensity = each_within(vec3(required(m.intensity, &at("intensity"))?), 0.0, &at("intensity"))?;
+        Ok(PointLight { position, intensity })
+    };
+    let lights = message.point_lights.into_iter().enumerate().map(light).collect::<Result<Vec<_>, ApiError>>()?;
+    Ok(Relighting::new(turn.to_radians(), &lights).expect("checked above"))
+}
+
+/// No coordinate less than `least` or above [`MAX_OF_A_LIGHT`].
+fn each_within(value: Vec3, least: f32, field: &str) -> Result<Vec3, ApiError> {
+    for (axis, value) in ["x", "y", "z"].into_iter().zip(value.to_array()) {
+        within(value, least, MAX_OF_A_LIGHT, &format!("{field}.{axis}"))?;
+    }
+    Ok(value)
 }
 
 fn filter(value: i32, field: &str) -> Result<oslf::Filter, ApiError> {
@@ -223,7 +255,10 @@ fn filter(value: i32, field: &str) -> Result<oslf::Filter, ApiError> {
 
 fn component(
     value: i32,
-    gloss: Option<proto::offset_surface_light_field_settings::Gloss>,
+    (gloss, refraction): (
+        Option<proto::offset_surface_light_field_settings::Gloss>,
+        Option<proto::offset_surface_light_field_settings::Refraction>,
+    ),
     field: &str,
 ) -> Result<oslf::Component, ApiError> {
     use proto::offset_surface_light_field_settings::Component;
@@ -232,9 +267,10 @@ fn component(
         Ok(Component::Mirror) => Ok(oslf::Component::Mirror),
         Ok(Component::Full) => Ok(oslf::Component::Full),
         Ok(Component::Glossy) => Ok(oslf::Component::Glossy(self::gloss(gloss, &format!("{field}.gloss"))?)),
+        Ok(Component::Refraction) => Ok(oslf::Component::Refraction(self::refraction(refraction, &format!("{field}.refraction"))?)),
         Ok(Component::Unspecified) | Err(_) => {
             let field = format!("{field}.component");
-            Err(ApiError::field(field, format!("{value}, RECONSTRUCTION, MIRROR, FULL or GLOSSY expected")))
+            Err(ApiError::field(field, format!("{value}, RECONSTRUCTION, MIRROR, FULL, GLOSSY or REFRACTION expected")))
         }
     }
 }
@@ -253,11 +289,23 @@ fn gloss(message: Option<proto::offset_surface_light_field_settings::Gloss>, fie
     Ok(oslf::Gloss { brdf, directions, pass: 0 })
 }
 
+fn refraction(message: Option<proto::offset_surface_light_field_settings::Refraction>, field: &str) -> Result<Dielectric, ApiError> {
+    use proto::offset_surface_light_field_settings::refraction::Body as Message;
+    let message = required(message, field)?;
+    let index = within(message.index.unwrap_or(DEFAULT_INDEX), 1.0, MOST_INDEX, &format!("{field}.index"))?;
+    let body = match Message::try_from(message.body) {
+        Ok(Message::Unspecified | Message::Solid) => Body::Solid,
+        Ok(Message::Thin) => Body::Thin,
+        Err(_) => return Err(ApiError::field(format!("{field}.body"), format!("{}, SOLID or THIN expected", message.body))),
+    };
+    Ok(Dielectric::new(index, body).expect("checked above"))
+}
+
 /// `gloss` is ignored for what is not glossy, its passes included.
 fn passes_of(settings: &oslf::Settings, passes: u32, field: &str) -> Result<u32, ApiError> {
     match settings.component {
         oslf::Component::Glossy(_) => count(passes, 1, 1, oslf::MOST_PASSES, &format!("{field}.gloss.passes")),
-        oslf::Component::Reconstruction | oslf::Component::Mirror | oslf::Component::Full => Ok(1),
+        oslf::Component::Reconstruction | oslf::Component::Mirror | oslf::Component::Full | oslf::Component::Refraction(_) => Ok(1),
     }
 }
 
@@ -358,7 +406,16 @@ mod tests {
     use super::*;
 
     fn message(component: i32, blend: i32) -> proto::OffsetSurfaceLightFieldSettings {
-        proto::OffsetSurfaceLightFieldSettings { component, blend, exponent: None, specular_reflectance: None, filter: 0, gloss: None }
+        proto::OffsetSurfaceLightFieldSettings {
+            component,
+            blend,
+            exponent: None,
+            specular_reflectance: None,
+            filter: 0,
+            gloss: None,
+            relighting: None,
+            refraction: None,
+        }
     }
 
     #[test]
@@ -395,6 +452,54 @@ mod tests {
             ..message(2, 4)
         };
         assert!(oslf_settings(bright, "s").unwrap_err().to_string().starts_with("s.specular_reflectance.y: 1.5"));
+    }
+
+    #[test]
+    fn a_clear_body_has_an_index_from_one_to_four() {
+        use proto::offset_surface_light_field_settings::Refraction;
+        let with =
+            |refraction| oslf_settings(proto::OffsetSurfaceLightFieldSettings { refraction, ..message(5, 7) }, "s").map(|s| s.component);
+        let glass = oslf::Component::Refraction(Dielectric::new(1.5, Body::Solid).unwrap());
+        assert_eq!(with(Some(Refraction { index: None, body: 0 })).unwrap(), glass);
+        let bubble = oslf::Component::Refraction(Dielectric::new(1.33, Body::Thin).unwrap());
+        assert_eq!(with(Some(Refraction { index: Some(1.33), body: 2 })).unwrap(), bubble);
+        for (refraction, problem) in [
+            (None, "s.refraction"),
+            (Some(Refraction { index: Some(0.5), body: 1 }), "s.refraction.index: 0.5"),
+            (Some(Refraction { index: Some(f32::NAN), body: 1 }), "s.refraction.index: NaN"),
+            (Some(Refraction { index: None, body: 3 }), "s.refraction.body: 3"),
+        ] {
+            let error = with(refraction).unwrap_err().to_string();
+            assert!(error.starts_with(problem), "{error}");
+        }
+    }
+
+    #[test]
+    fn other_light_is_checked_number_by_number() {
+        use proto::offset_surface_light_field_settings as oslf_proto;
+        let at = |x, y, z| Some(proto::Vector3 { x, y, z });
+        let light = |position, intensity| oslf_proto::PointLight { position, intensity };
+        let with = |environment_turn_deg, point_lights| {
+            let relighting = Some(oslf_proto::Relighting { environment_turn_deg, point_lights });
+            oslf_settings(proto::OffsetSurfaceLightFieldSettings { relighting, ..message(1, 0) }, "s").map(|s| s.light)
+        };
+        let lamp = || light(at(1.0, -2.0, 3.0), at(0.0, 5.0, 6.0));
+        let expected = PointLight { position: Vec3::new(1.0, -2.0, 3.0), intensity: Vec3::new(0.0, 5.0, 6.0) };
+        assert_eq!(with(-90.0, vec![lamp()]).unwrap(), Relighting::new((-90f32).to_radians(), &[expected]).unwrap());
+        assert_eq!(with(0.0, Vec::new()).unwrap(), Relighting::NONE);
+        for (turn, lights, problem) in [
+            (361.0, vec![], "s.relighting.environment_turn_deg: 361"),
+            (f32::NAN, vec![], "s.relighting.environment_turn_deg: NaN"),
+            (0.0, vec![lamp(); 5], "s.relighting.point_lights: 5, at most 4"),
+            (0.0, vec![lamp(), light(None, at(1.0, 1.0, 1.0))], "s.relighting.point_lights[1].position"),
+            (0.0, vec![light(at(0.0, 2e9, 0.0), at(1.0, 1.0, 1.0))], "s.relighting.point_lights[0].position.y: 2000000000"),
+            (0.0, vec![light(at(0.0, 0.0, 0.0), None)], "s.relighting.point_lights[0].intensity"),
+            (0.0, vec![light(at(0.0, 0.0, 0.0), at(1.0, 1.0, -1.0))], "s.relighting.point_lights[0].intensity.z: -1"),
+            (0.0, vec![light(at(0.0, 0.0, 0.0), at(f32::INFINITY, 1.0, 1.0))], "s.relighting.point_lights[0].intensity.x: inf"),
+        ] {
+            let error = with(turn, lights).unwrap_err().to_string();
+            assert!(error.starts_with(problem), "{error}");
+        }
     }
 
     #[test]

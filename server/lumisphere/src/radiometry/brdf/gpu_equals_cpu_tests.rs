@@ -19,7 +19,7 @@ pub(crate) const SOURCE: &str = concat!(
     "
 struct Question { wo: vec3<f32>, u: f32, wi: vec3<f32>, v: f32 }
 struct Reply { value: vec3<f32>, pdf: f32, drawn: vec3<f32>, drawn_pdf: f32 }
-@group(0) @binding(0) var<uniform> brdf: BrdfUniform;
+@group(0) @binding(0) var<storage, read> brdf: BrdfUniform;
 @group(0) @binding(1) var<storage, read> questions: array<Question>;
 @group(0) @binding(2) var<storage, read_write> replies: array<Reply>;
 @compute @workgroup_size(64)

@@ -5,8 +5,9 @@ use std::f32::consts::PI;
 use glam::Vec3;
 
 use super::*;
+use crate::radiometry::dielectric::{Body, Dielectric};
 use crate::raytrace::Appearance;
-use crate::scenes::PointLight;
+use crate::scenes::{Environment, PointLight};
 
 /// Floor and back wall as one object, a point light, no sky: with one bounce every radiance is exact.
 fn corner() -> (Tracer, Camera) {
@@ -42,6 +43,40 @@ fn one_mirror_sees_the_object_itself_diffuse() {
     // A physical mirror shows a mirror, and there nothing but the black sky.
     assert_eq!(seen(Appearance::PhysicalMirror { reflectance }), 0.0);
     close(seen(Appearance::AsAuthored), lit(Vec3::ZERO, Vec3::Y));
+}
+
+fn clear_ball(sky: Environment) -> Tracer {
+    let mut scene = scene(vec![(sphere(Vec3::ZERO, 1.0, 96), diffuse(0.5), None)], Vec3::ZERO);
+    scene.environment = sky;
+    let dielectric = Dielectric::new(1.5, Body::Solid).unwrap();
+    Tracer::new(&scene).unwrap().with_appearance(0, Appearance::OneRefraction { dielectric })
+}
+
+/// Seen along the normal: R = 4 % is reflected, and what passes both surfaces is (1 − R)².
+#[test]
+fn a_clear_ball_in_a_white_furnace_loses_what_is_reflected_inside() {
+    let tracer = clear_ball(Environment::Constant(Vec3::ONE));
+    let image = render(&tracer, &camera(Vec3::new(0.0, 0.0, 4.0), Vec3::ZERO, 2.0, 4), &settings(256, 1));
+    let mean = image.radiance.planes[0].iter().sum::<f32>() / 16.0;
+    // 4096 paths of which 4 % are reflected: a thousandth of what is.
+    assert!((mean - (0.04 + 0.96 * 0.96)).abs() < 3e-3, "{mean}");
+    assert_eq!(tracer.cube_map(Vec3::splat(2.0), 4, &settings(1, 1), &Unattended).unwrap(), {
+        let diffuse = tracer.with_appearance(0, Appearance::Diffuse);
+        diffuse.cube_map(Vec3::splat(2.0), 4, &settings(1, 1), &Unattended).unwrap()
+    });
+}
+
+/// The sky is white above and black below; at a sine of 0.4 a ball of glass bends by 2 (asin 0.4 − asin 0.267) = 16.2° …
+#[test]
+fn a_clear_ball_shows_the_world_upside_down() {
+    let tracer = clear_ball(sky_map(64, 0.0, |_, row| if row < 16 { Vec3::ONE } else { Vec3::ZERO }));
+    let seen = |y: f32| {
+        let from = Vec3::new(0.0, y, 40.0);
+        render(&tracer, &camera(from, Vec3::new(0.0, y, 0.0), 0.05, 1), &settings(1024, 1)).radiance.planes[0][0]
+    };
+    // … so that a ray through the lower half sees the upper sky; through the upper half the mirror alone sees it: 4.2 %.
+    assert!((seen(-0.4) - 0.958 * 0.958).abs() < 0.01, "{}", seen(-0.4));
+    assert!(seen(0.4) > 0.0 && seen(0.4) < 0.15, "{}", seen(0.4));
 }
 
 #[test]

@@ -63,7 +63,7 @@ fn finished(camera: &Camera, geometry: &ProxyGeometry) -> Option<Vec<([f32; 4], 
     let band = rasterizer.band(&gpu, WIDTH, HEIGHT);
     let read_back = ReadBack::new(&gpu, "output", band.output().size());
     let mut encoder = gpu.device().create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-    rasterizer.draw(&gpu, &mut encoder, camera, 0, &band).unwrap();
+    rasterizer.draw(&gpu, &mut encoder, (camera, 0.0), 0, &band).unwrap();
     encoder.copy_buffer_to_buffer(band.output(), 0, read_back.buffer(), 0, band.output().size());
     gpu.queue().submit([encoder.finish()]);
     let read = |bytes: &[u8]| bytes.chunks_exact(4).map(bytemuck::pod_read_unaligned).collect::<Vec<u32>>();

@@ -15,7 +15,7 @@ struct Work {
     pixels: array<u32>,
 }
 
-@group(0) @binding(0) var<uniform> camera: Camera;
+@group(0) @binding(0) var<storage, read> camera: Camera;
 @group(0) @binding(1) var visibility: texture_2d<u32>;
 @group(0) @binding(2) var<storage, read_write> work: Work;
 // Per pixel R, G, B; then for all pixels distance; then provenance.

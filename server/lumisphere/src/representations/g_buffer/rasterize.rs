@@ -234,16 +234,17 @@ impl Rasterizer {
         shader.bind(gpu, 0, &band_bindings(&self.camera, &band.visibility, &band.work, &band.output))
     }
 
-    /// Records a band: visibility, the pixels' lists, and every pixel that does not see the object.
+    /// Records a band: visibility, the pixels' lists, and every pixel that does not see the object. Beside the camera radians about +Y by which
+    /// the environment is turned.
     pub fn draw(
         &self,
         gpu: &Gpu,
         encoder: &mut wgpu::CommandEncoder,
-        camera: &Camera,
+        (camera, turn): (&Camera, f32),
         first_row: u32,
         band: &Band,
     ) -> Result<(), GpuError> {
-        self.list_pixels(gpu, encoder, camera, first_row, band, self.triangles.in_view(camera, self.near, first_row, band.rows))?;
+        self.list_pixels(gpu, encoder, (camera, turn), first_row, band, self.triangles.in_view(camera, self.near, first_row, band.rows))?;
         let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
         pass.set_bind_group(0, &band.resources, &[]);
         pass.set_bind_group(1, &self.resources, &[]);
@@ -257,7 +258,7 @@ impl Rasterizer {
     /// The object's pixels alone, as if nothing stood before it; the others are left as they are.
     pub fn draw_object(&self, gpu: &Gpu, encoder: &mut wgpu::CommandEncoder, camera: &Camera, band: &Band) -> Result<(), GpuError> {
         let object = 0..self.triangles.object_end;
-        self.list_pixels(gpu, encoder, camera, 0, band, vec![object])
+        self.list_pixels(gpu, encoder, (camera, 0.0), 0, band, vec![object])
     }
 
     // Which of these triangles each pixel sees, and the pixels' lists.
@@ -265,7 +266,7 @@ impl Rasterizer {
         &self,
         gpu: &Gpu,
         encoder: &mut wgpu::CommandEncoder,
-        camera: &Camera,
+        (camera, turn): (&Camera, f32),
         first_row: u32,
         band: &Band,
         triangles: Vec<Range<u32>>,
@@ -273,7 +274,7 @@ impl Rasterizer {
         let uniform = CameraUniform {
             object_end: self.triangles.object_end,
             plain_end: self.triangles.plain_end,
-            ..CameraUniform::new(camera, self.near, self.environment_turn, first_row, band.rows)?
+            ..CameraUniform::new(camera, self.near, self.environment_turn + turn, first_row, band.rows)?
         };
         gpu.queue().write_buffer(&self.camera, 0, bytemuck::bytes_of(&uniform));
         // No groups along x yet, one along y and z, no pixels.

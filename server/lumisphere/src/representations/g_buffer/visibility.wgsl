@@ -1,7 +1,7 @@
 // Twin of trace.rs. Which triangle each pixel sees: all that is rasterised, so that a triangle of a few pixels costs no more than those pixels.
 // Depth is reversed and infinite: near / depth, cleared to 0, greater wins. A pixel holds the triangle's number + 1, 0 for none.
 
-@group(0) @binding(0) var<uniform> camera: Camera;
+@group(0) @binding(0) var<storage, read> camera: Camera;
 
 struct Corner {
     @builtin(position) clip: vec4<f32>,

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 use super::OffsetSurfaceLightField;
-use crate::capture::halved;
+use crate::capture::{halved, with_sky_shares};
 use crate::directions::FACES;
 use crate::representations::RenderError;
 use crate::representations::page_source::CountingSource;
@@ -51,7 +51,8 @@ impl Coarse {
         self.level
     }
 
-    /// What every slot holds: the finest of the coarse levels, R, G, B and 0, of `pixel`'s format; the coarser ones follow by halving.
+    /// What every slot holds: the finest of the coarse levels, R, G, B and share of sky (0 where none is stored), of `pixel`'s format; the
+    /// coarser ones follow by halving.
     pub fn read(self, field: &OffsetSurfaceLightField, pixel: PixelFormat, pages: &CountingSource<'_>) -> Result<Vec<Page>, RenderError> {
         let read = |cube: usize| read_level(field, cube, self.level, pages);
         let cubes: Vec<Arc<Page>> = (0..field.cube_count()).into_par_iter().map(read).collect::<Result<_, _>>()?;
@@ -72,7 +73,7 @@ impl Coarse {
             for (row, column) in (0..size).flat_map(|r| (0..size).map(move |c| (r, c))) {
                 let texel = cubes[face / FACES].texel(column, (face % FACES) as u32 * size + row);
                 let at = 4 * ((top + row as usize) * edge + left + column as usize);
-                values[at..at + 3].copy_from_slice(&texel[..3]);
+                values[at..at + 4].copy_from_slice(&texel);
             }
         }
         values
@@ -84,6 +85,16 @@ fn read_level(field: &OffsetSurfaceLightField, cube: usize, level: u32, pages: &
     let page = pages.page(PageId(number))?;
     field.check_page(number, page.shape())?;
     Ok(page)
+}
+
+/// A face and `levels − 1` coarser levels of it, which hold shares of sky in place of its distances.
+pub(super) fn with_levels_of_a_face(face: Arc<Page>, levels: u32) -> Result<Vec<Arc<Page>>, RenderError> {
+    if levels < 2 {
+        return Ok(vec![face]);
+    }
+    let mut pages = with_levels(Arc::new(with_sky_shares(&face)?), levels)?;
+    pages[0] = face;
+    Ok(pages)
 }
 
 /// A square page of four channels and `levels − 1` halvings of it.

@@ -14,6 +14,7 @@
 
 use glam::{Vec2, Vec3};
 
+use super::relight::light_visibility;
 use super::shade::{NOTHING, ReadCube, Shaded, Sight, mirrored, radiance_toward};
 use super::{Blend, Filter, Gloss, NO_SAMPLE, OffsetSurfaceLightField, Settings};
 use crate::directions::DirectionDifferential;
@@ -25,7 +26,7 @@ use crate::representations::provenance::{Answer, Provenance};
 /// A direction reads so many times its share of the lobe: side by side, shares would show (Křivánek & Colbert's K).
 const OVERLAP: f32 = 4.0;
 
-/// Radiance reflected by `gloss.brdf`, whose +X lies along `tangent`.
+/// Radiance reflected by `gloss.brdf`, whose +X lies along `tangent`; that of point lights, too.
 #[allow(clippy::too_many_arguments)]
 pub(super) fn glossy(
     field: &OffsetSurfaceLightField,
@@ -57,8 +58,17 @@ pub(super) fn glossy(
         radiance += weight * found.radiance;
         is_filled |= found.provenance.answer() != Answer::Hit;
     }
+    radiance /= gloss.directions as f32;
+    for light in settings.light.point_lights() {
+        let to_light = light.position - at.position;
+        let wi = frame.local_from_world(to_light.normalize_or_zero());
+        if wi.z > 0.0 {
+            let seen = light_visibility(field, at, candidates, light.position, cubes)?;
+            radiance += gloss.brdf.eval(wo, wi) * light.intensity * (seen * wi.z / to_light.length_squared());
+        }
+    }
     let answer = if is_filled { Answer::Filled } else { Answer::Hit };
-    Ok(Shaded { radiance: radiance / gloss.directions as f32, provenance: Provenance::new(answer, sample) })
+    Ok(Shaded { radiance, provenance: Provenance::new(answer, sample) })
 }
 
 /// Point `number` of the R2 sequence (Roberts 2018) in [0, 1)², in whole numbers so that both twins have the same.

@@ -26,7 +26,19 @@ fn glossy(at: Sight, across: Sight, down: Sight, tangent: vec3<f32>, candidates:
             is_filled |= (found.provenance >> 30u) != HIT;
         }
     }
-    return Shaded(radiance / f32(shading.directions), provenance_of(select(HIT, FILLED, is_filled), named));
+    radiance /= f32(shading.directions);
+    if RELIT {
+        for (var number = 0u; number < light.point_light_count; number++) {
+            let to_light = light.point_lights[number].position - at.position;
+            let wi = local_from_world(frame, normalize_or(to_light, vec3(0.0)));
+            if wi.z > 0.0 {
+                let seen = light_visibility(at, candidates, light.point_lights[number].position);
+                let arriving = light.point_lights[number].intensity * (seen * wi.z / dot(to_light, to_light));
+                radiance += brdf_eval(gloss, wo, wi) * arriving;
+            }
+        }
+    }
+    return Shaded(radiance, provenance_of(select(HIT, FILLED, is_filled), named));
 }
 
 fn place(number: u32) -> vec2<f32> {

@@ -2,6 +2,8 @@
 
 mod ahead;
 mod frame;
+mod light;
+mod tree;
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -10,14 +12,19 @@ use bytemuck::{Pod, Zeroable};
 use rayon::prelude::*;
 
 use super::coarse::{Coarse, with_levels};
+use super::relight::LightTables;
 use super::{Blend, Component, Filter, Gloss, OffsetSurfaceLightField, Settings};
 use crate::gpu::{Atlas, AtlasShape, Gpu, GpuCacheStats, GpuError, ReadBack, Shader, binding, storage_buffer, uniform_buffer};
 use crate::radiometry::brdf::BrdfUniform;
+use crate::radiometry::dielectric::Body;
 use crate::representations::frame_output::{BAND_BYTES, BYTES_PER_PIXEL, BoundBand, MAX_BAND_PIXELS};
 use crate::representations::g_buffer::{ProxyGeometry, Rasterizer, band_entries};
 use crate::representations::page_source::CountingSource;
 use crate::representations::{FrameRequest, GpuFrameStats, GpuKernel, Pixels, RenderError, UploadUnit};
+use crate::scenes::MOST_POINT_LIGHTS;
 use crate::textures::{Page, PageId, PixelFormat, PolicyKind};
+use light::LightTextures;
+use tree::TreeTexture;
 
 /// All of `kernel.wgsl`'s source.
 pub(crate) const SOURCE: &str = concat!(
@@ -29,6 +36,8 @@ pub(crate) const SOURCE: &str = concat!(
     include_str!("../../gpu/atlas.wgsl"),
     include_str!("kernel.wgsl"),
     include_str!("corrected.wgsl"),
+    include_str!("relight.wgsl"),
+    include_str!("refraction.wgsl"),
     include_str!("../../geometry/tangent_frame.wgsl"),
     include_str!("../../radiometry/brdf/brdf.wgsl"),
     include_str!("gloss.wgsl")
@@ -53,7 +62,32 @@ pub(crate) struct ShadingUniform {
     pub directions: u32,
     pub block_shift: u32,
     pub first_direction: u32,
+    pub refraction_index: f32,
+    pub first_packet: u32,
+    pub padding: u32,
+}
+
+/// Layout as WGSL's `LightInfo`.
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+#[repr(C)]
+pub(crate) struct LightUniform {
+    pub turn_cos: f32,
+    pub turn_sin: f32,
+    pub environment_size: u32,
+    pub environment_base: u32,
+    pub point_light_count: u32,
     pub padding: [u32; 3],
+    pub point_lights: [PointLightUniform; MOST_POINT_LIGHTS],
+}
+
+/// Layout as WGSL's `PointLight`.
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+#[repr(C)]
+pub(crate) struct PointLightUniform {
+    pub position: [f32; 3],
+    pub before: f32,
+    pub intensity: [f32; 3],
+    pub after: f32,
 }
 
 // A page's rows come in blocks of so many, as they are stored, or in as many blocks as a word has bits.
@@ -71,6 +105,10 @@ pub(crate) struct Kernel {
     shader: Shader,
     shading: wgpu::Buffer,
     gloss: wgpu::Buffer,
+    light: wgpu::Buffer,
+    light_tables: LightTables,
+    light_textures: LightTextures,
+    tree: TreeTexture,
     sample_points: wgpu::Buffer,
     sample_maps: wgpu::Buffer,
     touched: wgpu::Buffer,
@@ -89,8 +127,8 @@ pub(crate) struct Kernel {
     earlier: GpuCacheStats,
 }
 
-// Component, blend, BRDF, textures of the atlas, whether reads are filtered, whether coarse levels stand in.
-type PipelineKey = (u32, u32, u32, usize, bool, bool);
+// Component, blend, BRDF, textures of the atlas, whether reads are filtered, whether coarse levels stand in, how light is another.
+type PipelineKey = (u32, u32, u32, usize, bool, bool, (bool, bool));
 
 struct BoundAtlas {
     atlas: Atlas,
@@ -120,8 +158,10 @@ impl Kernel {
             binding::read_buffer(5),
             binding::write_buffer(6),
             binding::uniform(7),
+            binding::uniform(8),
         ];
-        let atlas_entries = [0, 1, 2, 3].map(binding::texture_array);
+        let [a, b, c, d] = [0, 1, 2, 3].map(binding::texture_array);
+        let atlas_entries = [a, b, c, d, binding::texture(4), binding::texture(5), binding::texture(6)];
         let none = wgpu::BufferUsages::empty();
         let positions: Vec<[f32; 4]> = field.sample_points.iter().map(|p| p.position.extend(0.0).into()).collect();
         // On little-endian machines, the only ones there are graphics drivers for, four u16 are the two words that WGSL unpacks.
@@ -133,6 +173,10 @@ impl Kernel {
             shader: Shader::new(&gpu, "offset surface light field", SOURCE, &[&band_entries(), &entries, &atlas_entries]),
             shading: uniform_buffer::<ShadingUniform>(&gpu, "shading"),
             gloss: uniform_buffer::<BrdfUniform>(&gpu, "gloss"),
+            light: uniform_buffer::<LightUniform>(&gpu, "light"),
+            light_tables: LightTables::default(),
+            light_textures: LightTextures::none(&gpu),
+            tree: TreeTexture::none(&gpu),
             sample_points: storage_buffer(&gpu, "sample points", &positions, none),
             sample_maps: storage_buffer(&gpu, "sample maps", &maps, none),
             touched: storage_buffer(&gpu, "touched", &touched_words, wgpu::BufferUsages::COPY_SRC),
@@ -191,8 +235,15 @@ impl Kernel {
     // Everything but the atlas and what a frame has not needed yet.
     fn fixed_bytes(&self) -> u64 {
         let buffers = [&self.sample_points, &self.sample_maps, &self.touched, self.touched_read_back.buffer()];
-        let held = self.rasterizer.bytes() + buffers.iter().map(|b| b.size()).sum::<u64>();
+        let held =
+            self.rasterizer.bytes() + self.light_textures.bytes() + self.tree.bytes() + buffers.iter().map(|b| b.size()).sum::<u64>();
         held + BAND_BYTES
+    }
+
+    // Whether so much more can be held beside pages.
+    fn check_room(&self, what: &'static str, more_bytes: u64) -> Result<(), GpuError> {
+        let (needed_bytes, budget_bytes) = (self.fixed_bytes() + more_bytes, self.budget_bytes);
+        if needed_bytes < budget_bytes { Ok(()) } else { Err(GpuError::OverBudget { what, needed_bytes, budget_bytes }) }
     }
 
     fn atlas_budget(&self) -> Result<u64, GpuError> {
@@ -230,17 +281,27 @@ impl Kernel {
             let images = images.into_par_iter().map(|image| with_levels(Arc::new(image), levels)).collect::<Result<Vec<_>, _>>()?;
             atlas.upload_pinned(&self.gpu, &images)?;
         }
-        let views: Vec<_> = atlas.views().iter().map(wgpu::BindingResource::TextureView).collect();
-        let views = self.shader.bind(&self.gpu, 2, &views);
+        let views = self.bind_views(&atlas);
         let resources = self.bind_resources(&atlas);
         self.atlas = Some(BoundAtlas { atlas, shape, coarse, views, resources });
         Ok(())
     }
 
+    fn bind_views(&self, atlas: &Atlas) -> wgpu::BindGroup {
+        let views: Vec<_> = atlas
+            .views()
+            .iter()
+            .chain(self.light_textures.views())
+            .chain([self.tree.view()])
+            .map(wgpu::BindingResource::TextureView)
+            .collect();
+        self.shader.bind(&self.gpu, 2, &views)
+    }
+
     fn bind_resources(&self, atlas: &Atlas) -> wgpu::BindGroup {
         let [triangles, vertices] = self.rasterizer.object_buffers();
         let (shading, points, maps) = (&self.shading, &self.sample_points, &self.sample_maps);
-        let resources = [triangles, vertices, shading, points, maps, atlas.indirection(), &self.touched, &self.gloss];
+        let resources = [triangles, vertices, shading, points, maps, atlas.indirection(), &self.touched, &self.gloss, &self.light];
         self.shader.bind(&self.gpu, 1, &resources.map(wgpu::Buffer::as_entire_binding))
     }
 
@@ -252,7 +313,15 @@ impl Kernel {
         let textures = self.atlas.as_ref().map_or(1, |a| a.atlas.texture_count());
         let filtered = settings.filter == Filter::Footprint;
         let brdf = gloss(settings.component).map_or(0, |gloss| gloss.brdf.number());
-        let key = (component_number(settings.component), blend_number(settings), brdf, textures, filtered, stand_in);
+        let key = (
+            component_number(settings.component),
+            blend_number(settings),
+            brdf,
+            textures,
+            filtered,
+            stand_in,
+            (settings.light.turns(), settings.light.changes_light()),
+        );
         let constants = [
             ("COMPONENT", f64::from(key.0)),
             ("BLEND", f64::from(key.1)),
@@ -260,6 +329,8 @@ impl Kernel {
             ("ATLAS_TEXTURES", textures as f64),
             ("FILTERED", f64::from(u8::from(filtered))),
             ("STAND_IN", f64::from(u8::from(stand_in))),
+            ("TURNED", f64::from(u8::from(settings.light.turns()))),
+            ("RELIT", f64::from(u8::from(settings.light.changes_light()))),
         ];
         self.pipelines.entry(key).or_insert_with(|| self.shader.compute_pipeline(&self.gpu, "shade", &constants));
         key
@@ -323,13 +394,17 @@ fn component_number(component: Component) -> u32 {
         Component::Mirror => 1,
         Component::Full => 2,
         Component::Glossy(_) => 3,
+        Component::Refraction(dielectric) => match dielectric.body() {
+            Body::Solid => 4,
+            Body::Thin => 5,
+        },
     }
 }
 
 fn gloss(component: Component) -> Option<Gloss> {
     match component {
         Component::Glossy(gloss) => Some(gloss),
-        Component::Reconstruction | Component::Mirror | Component::Full => None,
+        Component::Reconstruction | Component::Mirror | Component::Full | Component::Refraction(_) => None,
     }
 }
 

@@ -25,17 +25,20 @@ struct Shading {
     block_shift: u32,
     // Of GLOSSY: those before it are of earlier passes.
     first_direction: u32,
+    // Of SOLID and THIN: of the body, and where its tree's packets begin.
+    refraction_index: f32,
+    first_packet: u32,
 }
 
 @group(1) @binding(0) var<storage, read> object_triangles: array<u32>;
 @group(1) @binding(1) var<storage, read> object_vertices: array<ObjectVertex>;
-@group(1) @binding(2) var<uniform> shading: Shading;
+@group(1) @binding(2) var<storage, read> shading: Shading;
 @group(1) @binding(3) var<storage, read> sample_points: array<vec4<f32>>;
 // Four 16-bit indices a texel, the first in the low half.
 @group(1) @binding(4) var<storage, read> sample_maps: array<vec2<u32>>;
 @group(1) @binding(5) var<storage, read> indirection: array<u32>;
 @group(1) @binding(6) var<storage, read_write> touched: array<atomic<u32>>;
-@group(1) @binding(7) var<uniform> gloss: BrdfUniform;
+@group(1) @binding(7) var<storage, read> gloss: BrdfUniform;
 
 // Component and Blend, as kernel.rs numbers them.
 override COMPONENT: u32 = 0u;
@@ -48,6 +51,8 @@ override STAND_IN: bool = false;
 const RECONSTRUCTION: u32 = 0u;
 const MIRROR: u32 = 1u;
 const GLOSSY: u32 = 3u;
+const SOLID: u32 = 4u;
+const THIN: u32 = 5u;
 const DISTANCE: u32 = 0u;
 const ANGLE: u32 = 1u;
 const AVERAGE: u32 = 2u;
@@ -102,7 +107,7 @@ fn is_there(face: u32, block: u32) -> bool {
 }
 
 // Of a level: coarse ones are in slots of their own, 4ˡ faces to a slot; finer ones in their face's. Leaves word of rows that were wanted.
-// Rows that are not there have any value, but for CORRECTED, where they would mislead the search for others, zero.
+// Rows that are not there have any value, but where they would mislead the search for others, zero.
 fn cube_texel(cube: u32, texel: CubeTexel, level: u32) -> vec4<f32> {
     let face = 6u * cube + texel.face;
     let first = shading.coarse_level;
@@ -114,7 +119,7 @@ fn cube_texel(cube: u32, texel: CubeTexel, level: u32) -> vec4<f32> {
         let blocks = ((shading.face_size - 1u) >> shading.block_shift) + 1u;
         let block = block_of(texel.row, level);
         atomicStore(&touched[face * blocks + block], shading.stamp);
-        if BLEND == CORRECTED && !is_there(face, block) {
+        if (BLEND == CORRECTED || RELIT) && !is_there(face, block) {
             return vec4(0.0);
         }
     }
@@ -143,13 +148,24 @@ fn corner(position: FacePosition, size: u32, number: u32) -> Corner {
 fn read_level(cube: u32, direction: vec3<f32>, level: u32) -> vec3<f32> {
     let position = face_from_direction(direction);
     var radiance = vec3(0.0);
+    var sky = 0.0;
     var sum = 0.0;
     for (var number = 0u; number < 4u; number++) {
         let at = corner(position, shading.face_size >> level, number);
         if at.texel.exists {
-            radiance += at.weight * cube_texel(cube, at.texel, level).rgb;
+            let texel = cube_texel(cube, at.texel, level);
+            if TURNED {
+                let share = sky_share(texel.w, level);
+                radiance += at.weight * near_light(texel.rgb, share, level, at.texel);
+                sky += at.weight * share;
+            } else {
+                radiance += at.weight * texel.rgb;
+            }
             sum += at.weight;
         }
+    }
+    if TURNED {
+        radiance += sky * environment_toward(before(direction), level);
     }
     return radiance / sum;
 }
@@ -285,7 +301,11 @@ fn reconstruct(at: Sight, across: Sight, down: Sight, candidates: vec4<u32>) -> 
         short_of_the_horizon(within_the_surface(across) * per_length, cosine),
         short_of_the_horizon(within_the_surface(down) * per_length, cosine),
     );
-    return Shaded(read_cube(candidate, toward_x), provenance_of(own.answer, candidate));
+    var radiance = read_cube(candidate, toward_x);
+    if RELIT {
+        radiance = relit(at, candidates, radiance);
+    }
+    return Shaded(radiance, provenance_of(own.answer, candidate));
 }
 
 fn mirror_direction(n: vec3<f32>, d: vec3<f32>) -> vec3<f32> {
@@ -459,6 +479,8 @@ fn shade_object(direction: vec3<f32>, point: ObjectPoint) -> Shaded {
         shaded = mirror(at, across, down, candidates);
     } else if COMPONENT == GLOSSY {
         shaded = glossy(at, across, down, point.tangent, candidates);
+    } else if COMPONENT == SOLID || COMPONENT == THIN {
+        shaded = refraction(at, across, down, candidates);
     } else {
         let own = reconstruct(at, across, down, candidates);
         let reflected = mirror(at, across, down, candidates);

@@ -7,6 +7,8 @@
 //! - mirror, depth-corrected: `Σⱼ βⱼ Lᵢ(pⱼ; x + t·r − pⱼ)`, t where the ray meets a surface by the stored distances (`corrected.rs`);
 //! - full: `reconstruction + C_s · mirror`;
 //! - glossy: `∫ f_r(v, l) Σⱼ βⱼ Lᵢ(pⱼ; l) (n·l) dl` by Monte Carlo, for any analytic BRDF (`gloss.rs`);
+//! - as a clear body: the mirror's radiance and that toward which a ray leaves the body, weighted by Fresnel's equations (`refraction.rs`);
+//! - in other light: the environment turned, point lights added (`relight.rs`);
 //! - baseline: one environment map at the object's centre, taken without the object, read with r.
 //!
 //! Where it fails: near the horizon (85° when built, 65° when read), at high curvature, where something stands between p and x
@@ -22,6 +24,8 @@ mod gloss;
 #[cfg(feature = "gpu")]
 mod kernel;
 mod reference;
+mod refraction;
+mod relight;
 mod requests;
 mod sample_points;
 mod shade;
@@ -41,9 +45,11 @@ use crate::directions::{DirectionDifferential, FACES, PyramidLevel, Taps, Texel}
 #[cfg(feature = "gpu")]
 use crate::gpu::{Gpu, GpuError};
 use crate::radiometry::brdf::AnalyticBrdf;
+use crate::radiometry::dielectric::Dielectric;
 #[cfg(feature = "gpu")]
 use crate::representations::GpuKernel;
 use crate::representations::{Captured, CpuKernel, Kind, RenderError, Representation};
+use crate::scenes::Relighting;
 use crate::textures::{PageId, PageShape};
 
 pub use construct::{ConstructError, ConstructSettings, construct};
@@ -71,8 +77,9 @@ pub const NO_SAMPLE: u16 = u16::MAX;
 /// One dataset version of this kind, without its pages.
 ///
 /// Pages: face f of cube map k, n in all, is page `6·k + f`: `face_size_texels`² texels of R, G, B, distance. Its level l, from 1 to
-/// `coarser_levels`, is page `6·n + (l − 1)·n + k`: its faces below each other, `face_size_texels / 2ˡ` texels an edge, R, G, B, every texel
-/// the mean of four of the level before. Cube map `sample_points.len()` is the baseline environment map at `parameters.object_center`,
+/// `coarser_levels`, is page `6·n + (l − 1)·n + k`: its faces below each other, `face_size_texels / 2ˡ` texels an edge, R, G, B and the share
+/// of the texel through which light comes from infinity, every texel the mean of four of the level before. (Datasets of earlier versions
+/// have no shares; they cannot be shown in other light.) Cube map `sample_points.len()` is the baseline environment map at `parameters.object_center`,
 /// taken without the object.
 #[derive(Debug, Clone)]
 pub struct OffsetSurfaceLightField {
@@ -158,6 +165,8 @@ pub enum Component {
     Full,
     /// What it would look like with another BRDF, in the light that is stored.
     Glossy(Gloss),
+    /// What it would look like as a clear body, in what is stored.
+    Refraction(Dielectric),
 }
 
 /// How a surface reflects, and how precisely that is computed.
@@ -216,6 +225,8 @@ pub struct Settings {
     pub specular_reflectance: Vec3,
     /// How cube maps are read.
     pub filter: Filter,
+    /// In which light.
+    pub light: Relighting,
 }
 
 /// What of a cube map a pixel reads.
@@ -238,6 +249,7 @@ impl Component {
             Self::Mirror => "mirror",
             Self::Full => "full",
             Self::Glossy(_) => "glossy",
+            Self::Refraction(_) => "refraction",
         }
     }
 }

@@ -1,15 +1,17 @@
 //! A frame on the CPU: rays for the G-buffer, `shade.rs` for the object, texels through a few pages kept by each thread.
 
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::{Arc, OnceLock};
 
 use glam::Vec3;
 
 use super::corrected::InverseDistances;
+use super::refraction::ObjectTree;
+use super::relight::{LightTables, Lit};
 use super::requests::record_requests;
 use super::shade::{ReadCube, shade_object};
-use super::{OffsetSurfaceLightField, Settings};
-use crate::directions::{Texel, bilinear_footprint};
+use super::{Component, OffsetSurfaceLightField, Settings};
+use crate::directions::{Footprint, Texel, bilinear_footprint};
 use crate::geometry::Camera;
 use crate::raytrace::Stack;
 use crate::representations::buckets::{PixelResult, render_in_buckets};
@@ -22,12 +24,22 @@ use crate::textures::PageId;
 pub(crate) struct Reference {
     field: Arc<OffsetSurfaceLightField>,
     tracer: GBufferTracer,
+    light: LightTables,
+    geometry: Arc<ProxyGeometry>,
+    tree: OnceLock<Arc<ObjectTree>>,
 }
 
 impl Reference {
     pub fn new(field: Arc<OffsetSurfaceLightField>) -> Self {
         let geometry = Arc::new(ProxyGeometry::new(&field.surface.mesh, &field.surface.part_of_triangle, &field.background));
-        Self { tracer: GBufferTracer::new(geometry), field }
+        Self { tracer: GBufferTracer::new(geometry.clone()), field, light: LightTables::default(), geometry, tree: OnceLock::new() }
+    }
+
+    /// What frames with these settings read beside cube maps.
+    pub fn asides(&self, settings: &Settings, pages: &CountingSource<'_>) -> Result<Asides, RenderError> {
+        let make_tree = || Arc::new(ObjectTree::new(self.geometry.clone()));
+        let tree = matches!(settings.component, Component::Refraction(_)).then(|| self.tree.get_or_init(make_tree).clone());
+        Ok(Asides { lit: self.light.lit(&self.field, settings, pages)?, tree })
     }
 
     /// What every pixel sees.
@@ -49,6 +61,10 @@ impl Reference {
     ) -> Result<PixelResult, RenderError> {
         let seen = Seen::from_code(pixel.a[2]);
         let (radiance, provenance) = match seen {
+            Seen::Nothing if settings.light.turns() => {
+                let direction = settings.light.before(camera.pixel_ray(i, j).direction);
+                (self.field.background.environment.radiance(direction), Provenance::BACKGROUND)
+            }
             Seen::Background | Seen::Nothing => (Vec3::from_slice(&pixel.b), Provenance::BACKGROUND),
             Seen::Unknown => (Vec3::from_slice(&pixel.b), Provenance::UNKNOWN),
             Seen::Object { .. } | Seen::ObjectBack { .. } => {
@@ -66,7 +82,8 @@ impl CpuKernel for Reference {
             return Err(RenderError::OtherKind { settings: request.settings.kind() });
         };
         let touched = PagesTouched::new(self.field.page_count());
-        let start = || (Stack::new(), PagedCubes::new(&self.field, pages, &touched));
+        let asides = self.asides(settings, pages)?;
+        let start = || (Stack::new(), PagedCubes::new(&self.field, pages, &touched, asides.clone()));
         let mut frame = render_in_buckets(request, start, |(stack, cubes), i, j| {
             let pixel = self.tracer.pixel(request.camera, i, j, stack);
             self.shade(settings, request.camera, (i, j), &pixel, cubes)
@@ -78,6 +95,15 @@ impl CpuKernel for Reference {
     fn record(&self, recording: &Recording<'_>, sink: &mut dyn FnMut(TexelRequest)) -> Result<(), RenderError> {
         record_requests(&self.field, &self.tracer, recording, sink)
     }
+}
+
+/// What some frames read beside cube maps.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Asides {
+    /// Where light is another than was captured.
+    pub lit: Option<Arc<Lit>>,
+    /// Where rays go through the object.
+    pub tree: Option<Arc<ObjectTree>>,
 }
 
 /// Which pages a frame has read.
@@ -107,13 +133,14 @@ pub(super) struct PagedCubes<'a> {
     field: &'a OffsetSurfaceLightField,
     reader: CountingReader<'a>,
     touched: &'a PagesTouched,
+    asides: Asides,
     /// Pages whose shape this thread has checked.
     checked: Vec<bool>,
 }
 
 impl<'a> PagedCubes<'a> {
-    // The four of a bilinear read, and their weights.
-    fn texels_around(&mut self, cube: u32, direction: Vec3, level: u32) -> Result<[([f32; 4], f32); 4], RenderError> {
+    /// The four of a bilinear read, where they are and their weights.
+    pub fn texels_around(&mut self, cube: u32, direction: Vec3, level: u32) -> Result<([[f32; 4]; 4], Footprint), RenderError> {
         let footprint = bilinear_footprint(direction, self.field.level_size(level) as usize);
         let mut at = [(PageId(0), 0, 0); 4];
         for (at, (texel, _)) in at.iter_mut().zip(&footprint) {
@@ -121,8 +148,7 @@ impl<'a> PagedCubes<'a> {
             self.check(page)?;
             *at = (PageId(page), texel.column as u32, row);
         }
-        let texels = self.reader.texels(at)?;
-        Ok(std::array::from_fn(|k| (texels[k], footprint[k].1)))
+        Ok((self.reader.texels(at)?, footprint))
     }
 
     /// The stored distances of texels of level 0.
@@ -136,8 +162,9 @@ impl<'a> PagedCubes<'a> {
         Ok(self.reader.texels(at)?.map(|texel| texel[3]))
     }
 
-    pub fn new(field: &'a OffsetSurfaceLightField, source: &'a CountingSource<'a>, touched: &'a PagesTouched) -> Self {
-        Self { field, reader: source.reader(), touched, checked: vec![false; touched.pages()] }
+    /// For shading with what `asides` holds.
+    pub fn new(field: &'a OffsetSurfaceLightField, source: &'a CountingSource<'a>, touched: &'a PagesTouched, asides: Asides) -> Self {
+        Self { field, reader: source.reader(), touched, asides, checked: vec![false; touched.pages()] }
     }
 
     fn check(&mut self, page: u32) -> Result<(), RenderError> {
@@ -157,13 +184,24 @@ impl<'a> PagedCubes<'a> {
 
 impl ReadCube for PagedCubes<'_> {
     fn read_level(&mut self, cube: u32, direction: Vec3, level: u32) -> Result<Vec3, RenderError> {
-        let texels = self.texels_around(cube, direction, level)?;
-        Ok(texels.iter().map(|(texel, weight)| *weight * Vec3::from_slice(texel)).sum())
+        let (texels, footprint) = self.texels_around(cube, direction, level)?;
+        if let Some(lit) = self.asides.lit.as_ref().filter(|lit| lit.light.turns()) {
+            return Ok(lit.environment.after(&lit.light, &texels, &footprint, direction, level));
+        }
+        Ok(texels.iter().zip(&footprint).map(|(texel, (_, weight))| *weight * Vec3::from_slice(texel)).sum())
     }
 
     fn inverse_distances(&mut self, cube: u32, direction: Vec3) -> Result<InverseDistances, RenderError> {
-        let texels = self.texels_around(cube, direction, 0)?;
-        Ok(InverseDistances::of(texels.map(|(texel, weight)| (texel[3], weight))))
+        let (texels, footprint) = self.texels_around(cube, direction, 0)?;
+        Ok(InverseDistances::of(std::array::from_fn(|k| (texels[k][3], footprint[k].1))))
+    }
+
+    fn lit(&self) -> Option<Arc<Lit>> {
+        self.asides.lit.clone()
+    }
+
+    fn tree(&self) -> Option<Arc<ObjectTree>> {
+        self.asides.tree.clone()
     }
 
     fn field(&self) -> &OffsetSurfaceLightField {

@@ -4,10 +4,14 @@
 //! Powers are computed by our own series (Cephes' `logf` and `expf`, S. L. Moshier), because WGSL leaves the accuracy of `pow` to the
 //! device. Invalid indices weigh nothing. What no rule answers is filled and flagged, never passed off as a hit.
 
+use std::sync::Arc;
+
 use glam::Vec3;
 
 use super::corrected::{InverseDistances, corrected, sees};
 use super::gloss::glossy;
+use super::refraction::{ObjectTree, refraction};
+use super::relight::{Lit, relit};
 use super::{Blend, Component, Filter, NO_SAMPLE, OffsetSurfaceLightField, RUNTIME_HORIZON_DEG, Settings};
 use crate::directions::{DirectionDifferential, PyramidLevel};
 use crate::geometry::Camera;
@@ -22,6 +26,16 @@ pub(super) trait ReadCube {
 
     /// The stored distances of level 0 around a direction.
     fn inverse_distances(&mut self, cube: u32, direction: Vec3) -> Result<InverseDistances, RenderError>;
+
+    /// How the frame is lit; None as it was captured. Reads know of a turned environment, the rest is shading's.
+    fn lit(&self) -> Option<Arc<Lit>> {
+        None
+    }
+
+    /// The object's triangles, where rays inside it are followed.
+    fn tree(&self) -> Option<Arc<ObjectTree>> {
+        None
+    }
 
     /// The light field whose they are.
     fn field(&self) -> &OffsetSurfaceLightField;
@@ -111,6 +125,7 @@ pub(super) fn shade_from(
             let reflected = mirror(field, settings, &at, &by, candidates, cubes)?;
             Shaded { radiance: own.radiance + reflected.radiance, provenance: worse(own.provenance, reflected.provenance) }
         }
+        Component::Refraction(dielectric) => refraction(field, settings, &dielectric, &at, &by, candidates, cubes)?,
         Component::Glossy(gloss) => {
             let tangent = Vec3::from_slice(&pixel.tangent);
             glossy(field, settings, &gloss, &at, &by, tangent, candidates, cubes)?
@@ -139,7 +154,7 @@ pub(super) fn worse(own: Provenance, reflected: Provenance) -> Provenance {
     if (reflected.answer() as u32) > own.answer() as u32 { reflected } else { own }
 }
 
-/// The object's own appearance: `Lᵢ(p; normalize(x − p))`, p the [`own_sample`].
+/// The object's own appearance: `Lᵢ(p; normalize(x − p))`, p the [`own_sample`]; in other light [`relit`].
 pub(super) fn reconstruct(
     field: &OffsetSurfaceLightField,
     settings: &Settings,
@@ -157,7 +172,11 @@ pub(super) fn reconstruct(
     let up = toward(x, p, n);
     let [across, down] = [0, 1].map(|k| short_of_the_horizon(within_the_surface(&by[k]) * per_length, n.dot(up)));
     let radiance = cubes.read_cube(u32::from(j), &DirectionDifferential { direction: -up, across, down })?;
-    Ok(Shaded { radiance, provenance: Provenance::new(answer, u32::from(j)) })
+    let own = Shaded { radiance, provenance: Provenance::new(answer, u32::from(j)) };
+    match cubes.lit() {
+        Some(lit) => relit(field, &lit, at, candidates, own, cubes),
+        None => Ok(own),
+    }
 }
 
 /// Which candidate shows x: the nearest within 65° of n, else (filled) the nearest. Depth-corrected, it must see x, too: the nearest that

@@ -9,6 +9,8 @@ mod gpu_equals_cpu;
 #[cfg(feature = "gpu")]
 mod paging;
 mod recording;
+mod refraction;
+mod relight;
 mod stability;
 mod thinning;
 
@@ -22,6 +24,7 @@ use crate::geometry::{Camera, Intrinsics, Pose};
 use crate::images::{Tolerance, count_beyond, elements_agree};
 use crate::render::{Backend, Frame, FrameRequest, Outputs, RenderError, Renderer};
 use crate::representations::{Answer, Refine, Settings as AnySettings};
+use crate::scenes::Relighting;
 use crate::testdata::golden::assert_golden;
 use crate::textures::{PixelFormat, StoreError};
 use fixture::{MemoryPages, WORLD, World, environment_radiance, starve, surface_radiance};
@@ -42,16 +45,16 @@ pub(crate) const BLENDS: [Blend; 10] = [
 ];
 
 pub(crate) fn settings(component: Component, blend: Blend) -> Settings {
-    Settings { component, blend, specular_reflectance: Vec3::new(1.0, 0.5, 0.25), filter: Filter::Bilinear }
+    Settings { component, blend, specular_reflectance: Vec3::new(1.0, 0.5, 0.25), filter: Filter::Bilinear, light: Relighting::NONE }
 }
 
 fn mirror(blend: Blend) -> Settings {
-    Settings { component: Component::Mirror, blend, specular_reflectance: Vec3::ONE, filter: Filter::Bilinear }
+    Settings { component: Component::Mirror, blend, specular_reflectance: Vec3::ONE, filter: Filter::Bilinear, light: Relighting::NONE }
 }
 
 fn reconstruction() -> Settings {
     let component = Component::Reconstruction;
-    Settings { component, blend: Blend::Distance, specular_reflectance: Vec3::ONE, filter: Filter::Bilinear }
+    Settings { component, blend: Blend::Distance, specular_reflectance: Vec3::ONE, filter: Filter::Bilinear, light: Relighting::NONE }
 }
 
 fn frame_of(field: OffsetSurfaceLightField, pages: &MemoryPages, camera: &Camera, settings: Settings) -> Result<Frame, RenderError> {

@@ -15,7 +15,7 @@ use serde::Serialize;
 use thiserror::Error;
 
 use super::corrected::InverseDistances;
-use super::reference::{PagedCubes, PagesTouched};
+use super::reference::{Asides, PagedCubes, PagesTouched};
 use super::sample_points::nearest_visible;
 use super::shade::{ReadCube, shade_from, shade_object, sight};
 use super::{NO_SAMPLE, OffsetSurfaceLightField, Parameters, SampleMaps, SamplePoint, Settings, ThinnedFrom, build_sample_maps};
@@ -210,7 +210,7 @@ impl<'a> Thinning<'a> {
     }
 
     fn mean(&self, shade: impl Fn(&Pixel, &mut PagedCubes<'_>) -> Result<Vec3, RenderError> + Sync) -> Result<f64, ThinningError> {
-        let start = || PagedCubes::new(self.field, &self.source, &self.touched);
+        let start = || PagedCubes::new(self.field, &self.source, &self.touched, Asides::default());
         let error = |cubes: &mut PagedCubes<'_>, pixel: &Pixel| {
             if self.progress.is_cancelled() {
                 return Err(ThinningError::Cancelled(Cancelled));
@@ -233,7 +233,7 @@ impl<'a> Thinning<'a> {
     pub fn order(&self, most: f64) -> Result<Vec<u16>, ThinningError> {
         let progress = self.progress;
         let count = self.field.sample_points.len();
-        let start = || PagedCubes::new(self.field, &self.source, &self.touched);
+        let start = || PagedCubes::new(self.field, &self.source, &self.touched, Asides::default());
         let mut is_left = vec![true; count];
         let error_of = |pixel: &Pixel, candidates: [u16; 4], cubes: &mut PagedCubes<'_>| {
             if progress.is_cancelled() {

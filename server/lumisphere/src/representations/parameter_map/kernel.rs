@@ -157,7 +157,7 @@ impl Kernel {
         BoundBand::ensure(&mut self.band, &self.gpu, (&self.rasterizer, &self.shader), (width, rows))?;
         let (bound, numbers) = (self.band.as_ref().expect("made above"), self.numbers.as_ref().expect("made before"));
         let mut encoder = self.gpu.device().create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("frame") });
-        self.rasterizer.draw(&self.gpu, &mut encoder, request.camera, first_row, &bound.band)?;
+        self.rasterizer.draw(&self.gpu, &mut encoder, (request.camera, 0.0), first_row, &bound.band)?;
         let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
         pass.set_bind_group(0, &bound.resources, &[]);
         pass.set_bind_group(1, &numbers.resources, &[]);

@@ -17,7 +17,7 @@ struct Texel {
 
 @group(1) @binding(0) var<storage, read> object_triangles: array<u32>;
 @group(1) @binding(1) var<storage, read> object_vertices: array<ObjectVertex>;
-@group(1) @binding(2) var<uniform> shading: Shading;
+@group(1) @binding(2) var<storage, read> shading: Shading;
 @group(1) @binding(3) var<storage, read> texels: array<Texel>;
 // All quads, one behind the other.
 @group(1) @binding(4) var<storage, read> numbers: array<u32>;

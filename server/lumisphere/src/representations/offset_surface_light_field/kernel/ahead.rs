@@ -6,7 +6,7 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 use super::super::Settings;
-use super::super::coarse::with_levels;
+use super::super::coarse::with_levels_of_a_face;
 use super::frame::{Fidelity, MOST_DIRECTIONS_AT_ONCE, new_encoder};
 use super::{Kernel, gloss};
 use crate::geometry::{Camera, Intrinsics};
@@ -67,7 +67,7 @@ impl Kernel {
         }
         let prepared = fresh.into_par_iter().map(|(page, blocks, image)| {
             field.check_page(page, image.shape())?;
-            Ok(Upload { page, blocks, levels: with_levels(conform(image.clone(), shape)?, levels)? })
+            Ok(Upload { page, blocks, levels: with_levels_of_a_face(conform(image.clone(), shape)?, levels)? })
         });
         let prepared: Vec<Upload> = prepared.collect::<Result<_, RenderError>>()?;
         let (shown, expected) = (&self.last_wanted, &self.expected);

@@ -12,8 +12,8 @@ use std::time::Instant;
 
 use rayon::prelude::*;
 
-use super::super::coarse::with_levels;
-use super::super::{Blend, Settings};
+use super::super::coarse::with_levels_of_a_face;
+use super::super::{Blend, Component, Settings};
 use super::{BoundAtlas, Kernel, ShadingUniform};
 use crate::gpu::{Gpu, GpuError, Upload, conform};
 use crate::representations::frame_output::{self, FrameOutput};
@@ -72,6 +72,8 @@ impl Kernel {
             return Err(RenderError::OtherKind { settings: request.settings.kind() });
         };
         let bands = frame_output::bands(&self.gpu, request.camera)?;
+        self.ensure_light(settings, pages)?;
+        self.ensure_tree(settings)?;
         self.ensure_atlas(pages)?;
         let bound = self.atlas.as_mut().expect("made above");
         let (atlas, stands_in) = (&mut bound.atlas, bound.coarse.exists());
@@ -110,7 +112,8 @@ impl Kernel {
         let mut encoder = new_encoder(&gpu);
         let band = &self.band.as_ref().expect("made above").band;
         let pixels = band.pixels();
-        self.rasterizer.draw(&gpu, &mut encoder, camera, first_row, band)?;
+        let turn = frame.settings.light.environment_turn();
+        self.rasterizer.draw(&gpu, &mut encoder, (camera, turn), first_row, band)?;
         let mut parts = in_ranges(pixels, frame.settings);
         let mut passes = 0;
         while let Some(part) = parts.pop() {
@@ -191,8 +194,13 @@ impl Kernel {
         if let Some(gloss) = gloss {
             self.gpu.queue().write_buffer(&self.gloss, 0, bytemuck::bytes_of(&gloss.brdf.uniform()));
         }
+        self.write_light(settings);
+        let refraction = match settings.component {
+            Component::Refraction(dielectric) => Some(dielectric),
+            Component::Reconstruction | Component::Mirror | Component::Full | Component::Glossy(_) => None,
+        };
         let uniform = ShadingUniform {
-            specular_reflectance: if gloss.is_some() { [1.0; 3] } else { settings.specular_reflectance.into() },
+            specular_reflectance: if gloss.is_some() || refraction.is_some() { [1.0; 3] } else { settings.specular_reflectance.into() },
             exponent: exponent(settings.blend),
             face_size: self.field.parameters.face_size_texels,
             map_size: self.field.sample_maps.size as u32,
@@ -207,7 +215,9 @@ impl Kernel {
             directions: gloss.map_or(0, |gloss| gloss.directions),
             block_shift: shape.block_rows.trailing_zeros(),
             first_direction: gloss.map_or(0, |gloss| gloss.first_direction()),
-            padding: [0; 3],
+            refraction_index: refraction.map_or(1.0, |dielectric| dielectric.index()),
+            first_packet: self.tree.first_packet(),
+            padding: 0,
         };
         self.gpu.queue().write_buffer(&self.shading, 0, bytemuck::bytes_of(&uniform));
         let (band, atlas) = (self.band.as_ref().expect("made before"), self.atlas.as_ref().expect("made before"));
@@ -279,7 +289,7 @@ impl Kernel {
             let PageRows { page, blocks } = *rows;
             let fetched = pages.page(PageId(page))?;
             field.check_page(page, fetched.shape())?;
-            Ok(Upload { page, blocks, levels: with_levels(conform(fetched, shape)?, levels)? })
+            Ok(Upload { page, blocks, levels: with_levels_of_a_face(conform(fetched, shape)?, levels)? })
         };
         // In batches, so that pages in flight do not fill memory: the source's cache may be small.
         for batch in missing.chunks(PAGES_IN_FLIGHT) {

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use glam::{Quat, Vec2, Vec3};
 
-use crate::capture::{Background, BackgroundSurface, SurfaceMesh, coarser_levels, halved, stacked};
+use crate::capture::{Background, BackgroundSurface, SurfaceMesh, coarser_levels, halved, stacked, with_sky_shares};
 use crate::directions::{FACES, direction_from_face, direction_from_lat_long, texel_direction};
 use crate::geometry::{Camera, Intrinsics, Pose, TriangleMesh};
 use crate::images::Image;
@@ -38,6 +38,8 @@ pub struct World {
     pub epsilon: f32,
     /// Radiance of a sun 6° wide in the environment; 0 for none.
     pub sun: f32,
+    /// Of the sphere's point with this normal, in every direction; in the unturned world.
+    pub surface: fn(Vec3) -> Vec3,
 }
 
 /// Small enough for tests.
@@ -51,6 +53,7 @@ pub const WORLD: World = World {
     room: f32::INFINITY,
     epsilon: 0.1,
     sun: 0.0,
+    surface: surface_radiance,
 };
 
 /// These pages as the only version of dataset "sphere" in a new store.
@@ -92,7 +95,7 @@ impl World {
         let discriminant = b * b - c;
         if discriminant > 0.0 && -b - discriminant.sqrt() > 0.0 {
             let t = -b - discriminant.sqrt();
-            return (surface_radiance((p + t * d).normalize()), t);
+            return ((self.surface)((p + t * d).normalize()), t);
         }
         self.surroundings(p, d)
     }
@@ -134,8 +137,9 @@ impl World {
             let at = if cube < self.points { (1.0 + self.epsilon) * fibonacci(cube, self.points) } else { Vec3::ZERO };
             let mut faces: Vec<Page> = (0..FACES).map(|face| self.page(at, cube == self.points, face)).collect();
             pages.extend(faces.iter().cloned().map(Arc::new));
+            faces = faces.iter().map(|face| with_sky_shares(face).expect("four channels")).collect();
             for level in &mut coarser {
-                faces = faces.iter().map(|face| halved(face, 3).expect("even sizes")).collect();
+                faces = faces.iter().map(|face| halved(face, 4).expect("even sizes")).collect();
                 level.push(Arc::new(stacked(&faces).expect("six faces")));
             }
         }

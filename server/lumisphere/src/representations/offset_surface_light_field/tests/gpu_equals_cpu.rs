@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use glam::Vec3;
 
-use super::super::kernel::{Kernel, ShadingUniform};
+use super::super::kernel::{Kernel, LightUniform, PointLightUniform, ShadingUniform};
 use super::super::reference::{PagedCubes, PagesTouched, Reference};
 use super::corrected::{NEAR, with_liars};
 use super::fixture::{MemoryPages, WORLD, World, starve};
@@ -13,7 +13,8 @@ use super::{BLENDS, EVERYTHING, odd_cameras, settings};
 use crate::geometry::Camera;
 use crate::gpu::layout_check::assert_same_layout;
 use crate::gpu::{GpuError, test_gpu};
-use crate::images::{Tolerance, count_beyond};
+use crate::images::{Tolerance, count_beyond, elements_agree};
+use crate::radiometry::dielectric::{Body, Dielectric};
 use crate::render::{Backend, RenderError, Renderer};
 use crate::representations::g_buffer::{GBufferPixel, Seen};
 use crate::representations::offset_surface_light_field::{Blend, Component, Filter, Gloss, OffsetSurfaceLightField, Settings};
@@ -21,6 +22,7 @@ use crate::representations::{
     Answer, CountingSource, FrameRequest, GpuFrameStats, GpuKernel, Outputs, Pixels, Provenance, Refine, RenderError as Error,
     Representation, Settings as AnySettings,
 };
+use crate::scenes::{PointLight, Relighting};
 use crate::textures::PixelFormat;
 
 const BUDGET: u64 = 256 << 20;
@@ -52,7 +54,8 @@ impl Twins {
     fn shaded(&self, camera: &Camera, settings: Settings, g_buffer: &[GBufferPixel]) -> (Vec<f32>, Vec<Provenance>) {
         let source = CountingSource::new(&self.pages);
         let touched = PagesTouched::new(self.field.page_count());
-        let mut cubes = PagedCubes::new(&self.field, &source, &touched);
+        let asides = self.reference.asides(&settings, &source).unwrap();
+        let mut cubes = PagedCubes::new(&self.field, &source, &touched, asides);
         let width = camera.intrinsics().width_px;
         let mut pixels = (Vec::new(), Vec::new());
         for (at, pixel) in g_buffer.iter().enumerate() {
@@ -63,6 +66,13 @@ impl Twins {
         }
         pixels
     }
+}
+
+// The same where at most `ties` pixels, too, have another colour.
+fn agree_but_for(theirs: (&[f32], &[Provenance]), ours: (&[f32], &[Provenance]), tolerance: &Tolerance, ties: usize) -> Result<(), String> {
+    let differs = |at: &usize| elements_agree(&theirs.0[3 * at..3 * at + 3], &ours.0[3 * at..3 * at + 3], tolerance).is_err();
+    let different: Vec<usize> = (0..theirs.1.len()).filter(differs).collect();
+    if different.len() > ties { Err(format!("{} pixels differ, the first {:?}", different.len(), different[0])) } else { Ok(()) }
 }
 
 // Where both name the same sample, colours must agree within `tolerance`; at most `ties` pixels may name another.
@@ -157,6 +167,65 @@ fn glossy_shading_agrees_for_every_model() {
             let (color, provenance) = twins.shaded(&camera, settings, &g_buffer);
             let ours = (pixels.color.as_slice(), pixels.provenance.as_deref().unwrap());
             agree((&color, &provenance), ours, &Tolerance::F32_LOOKUP, TIES).unwrap_or_else(|e| panic!("{settings:?}: {e}"));
+        }
+    }
+}
+
+/// Turned, lit, and both, of every term; in the open and in a room, where nothing comes from infinity.
+#[test]
+fn shading_agrees_in_other_light() {
+    let brdf = serde_json::from_str(r#"{"model": "cook_torrance", "alpha_x": 0.3, "alpha_y": 0.2, "f0": [0.9, 0.7, 0.3]}"#).unwrap();
+    let components = COMPONENTS.into_iter().chain([Component::Glossy(Gloss { brdf, directions: 6, pass: 0 })]);
+    let sun = [PointLight { position: Vec3::new(1.5, 1.2, 1.6), intensity: Vec3::new(3.0, 2.0, 1.0) }];
+    let lamps = [sun[0], PointLight { position: Vec3::new(-2.0, 0.4, 0.9), intensity: Vec3::new(0.0, 1.0, 2.0) }];
+    let lights = [(1.0, &lamps[..0]), (0.0, &lamps[..]), (-2.5, &sun[..])].map(|(turn, lamps)| Relighting::new(turn, lamps).unwrap());
+    let odd = World { face_size: 22, pixel: PixelFormat::F32, ..WORLD };
+    let camera = WORLD.camera(Vec3::new(1.2, 0.9, 2.4), Vec3::new(0.1, -0.1, 0.0), 40, 30);
+    let worlds = [WORLD, World { room: 2.6, ..WORLD }, odd];
+    let Some(mut all) = worlds.into_iter().map(|world| Twins::new(world.build(), BUDGET)).collect::<Option<Vec<_>>>() else { return };
+    for (component, world) in components.flat_map(|c| [0, 1, 2].map(|world| (c, world))) {
+        // The open world sees all three; each pipeline takes seconds to compile.
+        let lights = if world == 0 { &lights[..] } else { &lights[2..] };
+        for (light, (blend, filter)) in lights.iter().flat_map(|l| OTHER_LIGHT_READS.map(|read| (*l, read))) {
+            let (settings, twins) = (Settings { filter, light, ..settings(component, blend) }, &mut all[world]);
+            let (pixels, _) = twins.on_gpu(&camera, settings).unwrap();
+            let g_buffer = twins.kernel.read_g_buffer();
+            let (color, provenance) = twins.shaded(&camera, settings, &g_buffer);
+            let ours = (pixels.color.as_slice(), pixels.provenance.as_deref().unwrap());
+            // A candidate of which rounding decides whether it sees a light is as a tie.
+            agree_but_for((&color, &provenance), ours, &Tolerance::F32_LOOKUP, TIES).unwrap_or_else(|e| panic!("{settings:?}: {e}"));
+            // Point lights are not seen in mirrors, and nothing in a room comes from infinity.
+            let unlit = twins.shaded(&camera, Settings { light: Relighting::NONE, ..settings }, &g_buffer).0;
+            let is_same = component == Component::Mirror && (!light.turns() || world == 1);
+            assert!(is_same || agree((&unlit, &provenance), ours, &Tolerance::F32_LOOKUP, TIES).is_err(), "{settings:?} changes nothing");
+        }
+    }
+}
+
+const OTHER_LIGHT_READS: [(Blend, Filter); 2] =
+    [(Blend::Normal { exponent: 4.0 }, Filter::Bilinear), (Blend::Corrected, Filter::Footprint)];
+
+#[test]
+fn shading_agrees_for_clear_bodies() {
+    for world in [WORLD, World { room: 2.6, ..WORLD }] {
+        let (mut field, pages) = world.build();
+        starve(&mut field, 0);
+        let Some(mut twins) = Twins::new((field, pages), BUDGET) else { return };
+        let camera = world.camera(Vec3::new(1.2, 0.9, 2.4), Vec3::new(0.1, -0.1, 0.0), 40, 30);
+        for (body, (blend, filter)) in [Body::Solid, Body::Thin].into_iter().flat_map(|b| OTHER_LIGHT_READS.map(|read| (b, read))) {
+            let of = |index| Settings { filter, ..settings(Component::Refraction(Dielectric::new(index, body).unwrap()), blend) };
+            let (pixels, _) = twins.on_gpu(&camera, of(1.5)).unwrap();
+            let g_buffer = twins.kernel.read_g_buffer();
+            let ours = (pixels.color.as_slice(), pixels.provenance.as_deref().unwrap());
+            let (color, provenance) = twins.shaded(&camera, of(1.5), &g_buffer);
+            // A ray that passes an edge of two triangles may meet either, and grazing ones part.
+            agree_but_for((&color, &provenance), ours, &Tolerance::F32_LOOKUP, 2 * TIES)
+                .unwrap_or_else(|e| panic!("{body:?} {blend:?}: {e}"));
+            let other = twins.shaded(&camera, of(1.7), &g_buffer).0;
+            assert!(
+                agree_but_for((&other, &provenance), ours, &Tolerance::F32_LOOKUP, 2 * TIES).is_err(),
+                "{body:?} {blend:?}: as with another index"
+            );
         }
     }
 }
@@ -363,7 +432,15 @@ fn the_uniform_lies_in_memory_as_wgsl_has_it() {
             pixel_scale,
             directions,
             block_shift,
-            first_direction
+            first_direction,
+            refraction_index,
+            first_packet
         }
     );
+    assert_same_layout!(
+        super::super::KERNEL_SOURCE,
+        "LightInfo",
+        LightUniform { turn_cos, turn_sin, environment_size, environment_base, point_light_count, point_lights }
+    );
+    assert_same_layout!(super::super::KERNEL_SOURCE, "PointLight", PointLightUniform { position, intensity });
 }

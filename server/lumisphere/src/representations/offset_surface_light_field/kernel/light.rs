@@ -1,0 +1,149 @@
+//! What frames in other light need on the device: made when the first of them is drawn.
+
+use bytemuck::bytes_of;
+use wgpu::util::DeviceExt;
+
+use super::super::Settings;
+use super::super::relight::{EnvironmentCube, StoredAndShown};
+use super::{Kernel, LightUniform, PointLightUniform};
+use crate::gpu::{Gpu, GpuError};
+use crate::representations::RenderError;
+use crate::representations::page_source::CountingSource;
+use crate::scenes::{MOST_POINT_LIGHTS, PointLight};
+
+/// The environment's cube map and the sample points' irradiances, or a texel each that is never read.
+pub(super) struct LightTextures {
+    environment: wgpu::Texture,
+    irradiances: wgpu::Texture,
+    views: [wgpu::TextureView; 2],
+    // As the uniform tells them.
+    size: u32,
+    base: u32,
+    has_environment: bool,
+    // Whose light the irradiances are: bits of the turn.
+    shown: Option<u32>,
+}
+
+const TEXEL_BYTES: u64 = 16;
+// As in relight.wgsl.
+const POINTS_IN_A_ROW: usize = 256;
+const TEXELS_OF_A_POINT: usize = 6;
+
+impl LightTextures {
+    pub fn none(gpu: &Gpu) -> Self {
+        let [environment, irradiances] = [0, 1].map(|_| texture(gpu, 1, &[[0.0; 4]]));
+        let views = [&environment, &irradiances].map(view);
+        Self { environment, irradiances, views, size: 1, base: 0, has_environment: false, shown: None }
+    }
+
+    pub fn views(&self) -> &[wgpu::TextureView; 2] {
+        &self.views
+    }
+
+    /// On the device.
+    pub fn bytes(&self) -> u64 {
+        let bytes = |texture: &wgpu::Texture| TEXEL_BYTES * u64::from(texture.width()) * u64::from(texture.height());
+        bytes(&self.environment) + bytes(&self.irradiances)
+    }
+
+    fn set_environment(&mut self, gpu: &Gpu, cube: &EnvironmentCube) -> Result<(), GpuError> {
+        let (limit, needed) =
+            (u64::from(gpu.device().limits().max_texture_dimension_2d), (cube.texels.len() as u64) / u64::from(cube.size));
+        if needed > limit {
+            return Err(GpuError::BeyondLimit { what: "height of the environment's cube map in texels", needed, limit });
+        }
+        let texels: Vec<[f32; 4]> = cube.texels.iter().map(|radiance| radiance.extend(0.0).into()).collect();
+        self.environment = texture(gpu, cube.size, &texels);
+        self.views[0] = view(&self.environment);
+        (self.size, self.base, self.has_environment) = (cube.size, cube.base, true);
+        Ok(())
+    }
+
+    fn set_irradiances(&mut self, gpu: &Gpu, irradiances: &[StoredAndShown], shown: u32) {
+        let mut texels = vec![[0f32; 4]; texels_of(irradiances.len())];
+        for (point, irradiance) in texels.chunks_mut(TEXELS_OF_A_POINT).zip(irradiances) {
+            let vectors = irradiance.stored.iter().chain(&irradiance.shown);
+            point.iter_mut().zip(vectors).for_each(|(texel, vector)| *texel = vector.extend(0.0).into());
+        }
+        self.irradiances = texture(gpu, (POINTS_IN_A_ROW * TEXELS_OF_A_POINT) as u32, &texels);
+        self.views[1] = view(&self.irradiances);
+        self.shown = Some(shown);
+    }
+}
+
+// Whole rows.
+fn texels_of(points: usize) -> usize {
+    points.div_ceil(POINTS_IN_A_ROW) * POINTS_IN_A_ROW * TEXELS_OF_A_POINT
+}
+
+/// Rows of `width` texels.
+pub(super) fn texture(gpu: &Gpu, width: u32, texels: &[[f32; 4]]) -> wgpu::Texture {
+    let description = wgpu::TextureDescriptor {
+        label: Some("light"),
+        size: wgpu::Extent3d { width, height: texels.len() as u32 / width, depth_or_array_layers: 1 },
+        mip_level_count: 1,
+        sample_count: 1,
+        dimension: wgpu::TextureDimension::D2,
+        format: wgpu::TextureFormat::Rgba32Float,
+        usage: wgpu::TextureUsages::TEXTURE_BINDING,
+        view_formats: &[],
+    };
+    let order = wgpu::util::TextureDataOrder::default();
+    gpu.device().create_texture_with_data(gpu.queue(), &description, order, bytemuck::cast_slice(texels))
+}
+
+pub(super) fn view(texture: &wgpu::Texture) -> wgpu::TextureView {
+    texture.create_view(&wgpu::TextureViewDescriptor::default())
+}
+
+impl Kernel {
+    /// Makes what such a frame needs. What is made counts in the budget: where pages leave it no room they are forgotten.
+    pub(super) fn ensure_light(&mut self, settings: &Settings, pages: &CountingSource<'_>) -> Result<(), RenderError> {
+        let Some(lit) = self.light_tables.lit(&self.field, settings, pages)? else { return Ok(()) };
+        let turn = settings.light.environment_turn().to_bits();
+        let needs_irradiance = !lit.irradiance.is_empty() && self.light_textures.shown != Some(turn);
+        if self.light_textures.has_environment && !needs_irradiance {
+            return Ok(());
+        }
+        let before = self.light_textures.bytes();
+        if !self.light_textures.has_environment {
+            self.check_room("the environment's cube map", TEXEL_BYTES * lit.environment.texels.len() as u64)?;
+            self.light_textures.set_environment(&self.gpu, &lit.environment)?;
+        }
+        if needs_irradiance {
+            self.check_room("irradiances", TEXEL_BYTES * texels_of(lit.irradiance.len()) as u64)?;
+            self.light_textures.set_irradiances(&self.gpu, &lit.irradiance, turn);
+        }
+        self.rebind(self.light_textures.bytes() > before);
+        Ok(())
+    }
+
+    /// After views were made anew: pages stay, unless what was made leaves them no room.
+    pub(super) fn rebind(&mut self, has_grown: bool) {
+        if has_grown && self.atlas.as_ref().is_some_and(|bound| self.fixed_bytes() + bound.atlas.bytes() > self.budget_bytes) {
+            self.forget_pages();
+        } else if let Some(bound) = self.atlas.take() {
+            let views = self.bind_views(&bound.atlas);
+            self.atlas = Some(super::BoundAtlas { views, ..bound });
+        }
+    }
+
+    pub(super) fn write_light(&self, settings: &Settings) {
+        let light = settings.light;
+        let (turn_sin, turn_cos) = light.environment_turn().sin_cos();
+        let mut point_lights = [PointLightUniform { position: [0.0; 3], before: 0.0, intensity: [0.0; 3], after: 0.0 }; MOST_POINT_LIGHTS];
+        for (uniform, PointLight { position, intensity }) in point_lights.iter_mut().zip(light.point_lights()) {
+            (uniform.position, uniform.intensity) = ((*position).into(), (*intensity).into());
+        }
+        let uniform = LightUniform {
+            turn_cos,
+            turn_sin,
+            environment_size: self.light_textures.size,
+            environment_base: self.light_textures.base,
+            point_light_count: light.point_lights().len() as u32,
+            padding: [0; 3],
+            point_lights,
+        };
+        self.gpu.queue().write_buffer(&self.light, 0, bytes_of(&uniform));
+    }
+}

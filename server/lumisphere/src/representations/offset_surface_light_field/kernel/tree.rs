@@ -1,0 +1,66 @@
+//! The object's tree on the device, for clear bodies: made when the first frame of one is drawn.
+
+use std::sync::Arc;
+
+use super::super::refraction::ObjectTree;
+use super::super::{Component, Settings};
+use super::Kernel;
+use super::light::{texture, view};
+use crate::gpu::{Gpu, GpuError};
+use crate::representations::g_buffer::ProxyGeometry;
+
+/// Nodes and packets, or a texel that is never read.
+pub(super) struct TreeTexture {
+    texture: wgpu::Texture,
+    view: wgpu::TextureView,
+    first_packet: Option<u32>,
+}
+
+// 2 to `TREE_BITS` of refraction.wgsl.
+const WIDTH: usize = 1 << 12;
+
+impl TreeTexture {
+    pub fn none(gpu: &Gpu) -> Self {
+        let texture = texture(gpu, 1, &[[0.0; 4]]);
+        Self { view: view(&texture), texture, first_packet: None }
+    }
+
+    pub fn view(&self) -> &wgpu::TextureView {
+        &self.view
+    }
+
+    /// On the device.
+    pub fn bytes(&self) -> u64 {
+        16 * u64::from(self.texture.width()) * u64::from(self.texture.height())
+    }
+
+    /// Texels before the packets.
+    pub fn first_packet(&self) -> u32 {
+        self.first_packet.unwrap_or(0)
+    }
+}
+
+impl Kernel {
+    /// Makes what such a frame needs. What is made counts in the budget.
+    pub(super) fn ensure_tree(&mut self, settings: &Settings) -> Result<(), GpuError> {
+        if !matches!(settings.component, Component::Refraction(_)) || self.tree.first_packet.is_some() {
+            return Ok(());
+        }
+        let limit = u64::from(self.gpu.device().limits().max_texture_dimension_2d);
+        let too_large = |needed| GpuError::BeyondLimit { what: "height of the object's tree in texels", needed, limit };
+        let field = &self.field;
+        let geometry = ProxyGeometry::new(&field.surface.mesh, &field.surface.part_of_triangle, &field.background);
+        let tree = ObjectTree::new(Arc::new(geometry));
+        let (mut texels, first_packet) = tree.bvh.as_vectors().ok_or(too_large(u64::MAX))?;
+        let rows = texels.len().div_ceil(WIDTH).max(1);
+        if rows as u64 > limit {
+            return Err(too_large(rows as u64));
+        }
+        self.check_room("the object's tree", 16 * (rows * WIDTH) as u64)?;
+        texels.resize(rows * WIDTH, [0.0; 4]);
+        let texture = texture(&self.gpu, WIDTH as u32, &texels);
+        self.tree = TreeTexture { view: view(&texture), texture, first_packet: Some(first_packet as u32) };
+        self.rebind(true);
+        Ok(())
+    }
+}
