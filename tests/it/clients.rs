@@ -114,7 +114,7 @@ async fn a_mute_client_cannot_prolong_the_shutdown() {
     viewer.pose(1, camera(32, 24)).await;
     viewer.frame().await;
     // From here on it says nothing and keeps the stream open. A bare connection says nothing at all.
-    let _silent = std::net::TcpStream::connect(server.url.trim_start_matches("http://")).unwrap();
+    let _silent = std::net::TcpStream::connect(&server.address().host).unwrap();
     let asked = Instant::now();
     server.terminate();
     let status = tokio::task::spawn_blocking(move || server.ended()).await.unwrap();

@@ -33,7 +33,7 @@ fn the_python_example_shows_the_orbit_that_render_shows() {
     let out = folder.path().join("frames");
     let mut example = Command::new(python);
     example.arg(repository.join("docs/examples/orbit.py")).args([DATASET, "--frames", "3", "--size", "48x36", "--out"]).arg(&out);
-    let said = example.args(["--server", server.url.trim_start_matches("http://")]).output().unwrap();
+    let said = example.args(["--server", &server.address().host]).output().unwrap();
     assert!(said.status.success(), "{}", String::from_utf8_lossy(&said.stderr));
     let pngs = rendered(&server, folder.path(), &["--frames", "3", "--size", "48x36"]);
     for index in 0..3 {

@@ -26,7 +26,7 @@ async fn load_balancers_are_told_first_then_streams_have_their_grace_then_they_a
     let folder = temporary_folder();
     let mut server = Server::start_with(&folder.path().join("data"), &["--shutdown-grace-seconds", "1"]);
     let mut changes = watched(&server).await;
-    let mut silent = TcpStream::connect(server.url.trim_start_matches("http://")).unwrap();
+    let mut silent = TcpStream::connect(&server.address().host).unwrap();
     // In the middle of an upload, and mute.
     let (_chunks, upload) = tokio::sync::mpsc::channel(1);
     let mut datasets = server.datasets().await;

@@ -19,7 +19,7 @@ use crate::wire::frame_request;
 fn the_viewer_is_served_at_the_root_beside_grpc_web() {
     let folder = temporary_folder();
     let server = Server::start(&folder.path().join("data"));
-    let address = server.url.trim_start_matches("http://");
+    let address = &server.address().host;
     let (status, page) = get(address, "/");
     assert!(status.contains(" 200 ") && page.contains("content-type: text/html; charset=utf-8"), "{status}{page}");
     assert!(page.contains("content-security-policy: default-src 'none'; script-src 'self'"), "{page}");
@@ -142,7 +142,7 @@ fn a_browser_gets_a_frame_over_grpc_web() {
         "POST /lumisphere.v1alpha1.Rendering/RenderFrame HTTP/1.1\r\nContent-Type: application/grpc-web+proto\r\nX-Grpc-Web: 1\r\nContent-Length: {}",
         body.len()
     );
-    let (status, answer) = http(server.url.trim_start_matches("http://"), &head, &body);
+    let (status, answer) = http(&server.address().host, &head, &body);
     assert!(status.contains(" 200 "), "{status}");
     let text = String::from_utf8_lossy(&answer);
     assert!(text.contains("grpc-status:0"), "no trailer says that it went well");
@@ -159,7 +159,7 @@ fn pages_of_allowed_origins_and_no_others_may_call() {
             "POST /lumisphere.v1alpha1.System/GetVersion HTTP/1.1\r\nContent-Type: application/grpc-web+proto\r\nX-Grpc-Web: 1\r\nOrigin: {origin}\r\nContent-Length: 5"
         );
         // An empty message: not compressed, length 0.
-        let (status, answer) = http(server.url.trim_start_matches("http://"), &head, &[0; 5]);
+        let (status, answer) = http(&server.address().host, &head, &[0; 5]);
         assert!(status.contains(" 200 "), "{status}");
         String::from_utf8_lossy(&answer).to_lowercase()
     };

@@ -409,6 +409,7 @@ mod tests {
             blend: oslf::Blend::Distance,
             specular_reflectance: glam::Vec3::ONE,
             filter: oslf::Filter::Footprint,
+            light: crate::scenes::Relighting::NONE,
         });
         let outputs = Outputs { depth: false, provenance: false };
         let request = FrameRequest { camera: &camera, settings: &settings, outputs, refine: Refine::Whole };
