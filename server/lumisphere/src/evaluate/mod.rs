@@ -116,23 +116,17 @@ pub fn evaluate<E: std::error::Error>(
     if plan.cameras.is_empty() || plan.settings.is_empty() || plan.timed_frames == 0 {
         return Err(EvaluateError::Plan("at least one camera, one setting and one timed frame expected".into()));
     }
-    let mut brdfs: Vec<BrdfModel> = Vec::new();
-    for brdf in plan.settings.iter().filter_map(|s| s.brdf()).map(BrdfModel::from) {
-        if !brdfs.contains(&brdf) {
-            brdfs.push(brdf);
+    let mut looks = Vec::new();
+    for look in
+        plan.settings.iter().map(|s| (s.brdf(), s.dielectric(), s.light())).filter(|(brdf, body, _)| brdf.is_some() || body.is_some())
+    {
+        if !looks.contains(&look) {
+            looks.push(look);
         }
     }
-    if brdfs.len() > MOST_BRDFS {
-        return Err(EvaluateError::Plan(format!("{} BRDFs, at most {MOST_BRDFS} expected", brdfs.len())));
-    }
-    let mut bodies: Vec<Dielectric> = Vec::new();
-    for body in plan.settings.iter().filter_map(|s| s.dielectric()) {
-        if !bodies.contains(&body) {
-            bodies.push(body);
-        }
-    }
-    if bodies.len() > MOST_BRDFS {
-        return Err(EvaluateError::Plan(format!("{} clear bodies, at most {MOST_BRDFS} expected", bodies.len())));
+    if looks.len() > MOST_LOOKS {
+        let problem = format!("{} BRDFs and clear bodies, each in its light, at most {MOST_LOOKS} expected", looks.len());
+        return Err(EvaluateError::Plan(problem));
     }
     for camera in &plan.cameras {
         plan.settings.iter().try_for_each(|s| s.check_frame(camera)).map_err(|e| EvaluateError::Plan(e.to_string()))?;
@@ -148,7 +142,6 @@ pub fn evaluate<E: std::error::Error>(
         return Err(EvaluateError::Plan(format!("settings in {} different lights, at most {MOST_LIGHTS} expected", lights.len())));
     }
     let as_captured = TruthRenderer::new(scene, object)?;
-    let truths: Vec<TruthRenderer> = lights.iter().map(|light| as_captured.relit(scene, light)).collect();
     let slugs = slugs(&plan.settings);
     let mut totals: Vec<Total> = plan.settings.iter().map(|s| Total::new(truths_of(s, plan))).collect();
     let steps = (plan.cameras.len() * (plan.settings.len() + 1)) as u64;
@@ -156,7 +149,9 @@ pub fn evaluate<E: std::error::Error>(
     for (v, camera) in plan.cameras.iter().enumerate() {
         progress.report("tracing the truth", done, steps);
         let mut views = Vec::with_capacity(lights.len());
-        for (light, truths) in lights.iter().zip(&truths) {
+        for light in &lights {
+            // Made anew for each camera: of the sky's tables there are never more than two.
+            let truths = as_captured.relit(scene, light);
             let lit: Vec<&Settings> = plan.settings.iter().filter(|s| s.light() == *light).collect();
             let wanted: Vec<Truth> = lit.iter().flat_map(|s| truths_of(s, plan)).collect();
             let brdfs: Vec<BrdfModel> = lit.iter().filter_map(|s| s.brdf()).map(BrdfModel::from).collect();
@@ -194,10 +189,10 @@ pub fn evaluate<E: std::error::Error>(
     Ok(totals.into_iter().enumerate().flat_map(of_setting).collect())
 }
 
-/// A view's truths are held together: one picture a BRDF and light.
-const MOST_BRDFS: usize = 8;
-/// Each has the sky's tables.
-const MOST_LIGHTS: usize = 8;
+/// A view's truths are held together: one picture a BRDF or clear body and light.
+const MOST_LOOKS: usize = 8;
+/// And up to three of each light.
+const MOST_LIGHTS: usize = 4;
 
 // What a setting is compared with: what is no mirror has one truth only.
 fn truths_of(settings: &Settings, plan: &Plan) -> Vec<Truth> {
