@@ -102,10 +102,11 @@ enum Brush<'a> {
 }
 
 /// What became of an order that was taken up late.
-enum Late<T> {
-    Drawn(FrameOrder, Drawn, T),
-    /// Meanwhile it is another painter's.
-    Elsewhere(FrameOrder, T),
+struct Late<T> {
+    order: FrameOrder,
+    noted: T,
+    /// None: meanwhile it is another painter's.
+    drawn: Option<Drawn>,
 }
 
 /// Tells that the caller has gone.
@@ -199,17 +200,17 @@ impl Frames {
             let gpu = self.gpu.clone();
             let work = move |brush: Brush<'_>| {
                 let (order, noted) = order();
-                if Painter::of(&order.settings) != painter {
-                    return Ok(Late::Elsewhere(order, noted));
-                }
-                let drawn = draw(brush, &gpu, &order, 0)?;
-                Ok::<_, ApiError>(Late::Drawn(order, drawn, noted))
+                let is_mine = Painter::of(&order.settings) == painter;
+                let drawn = is_mine.then(|| draw(brush, &gpu, &order, 0)).transpose()?;
+                Ok::<_, ApiError>(Late { order, noted, drawn })
             };
             let Rendered { value, queued, slot, admitted } = self.turn(painter, self.admit(painter)?, who, None, work).await?;
             match value? {
-                Late::Drawn(order, drawn, noted) => break (queued, slot, admitted, order, drawn, noted),
+                Late { order, noted, drawn: Some(drawn) } => break (queued, slot, admitted, order, drawn, noted),
                 // As it is now: it changes no more while it waits for the other.
-                Late::Elsewhere(again, noted) => (painter, order) = (Painter::of(&again.settings), Box::new(move || (again, noted))),
+                Late { order: again, noted, drawn: None } => {
+                    (painter, order) = (Painter::of(&again.settings), Box::new(move || (again, noted)));
+                }
             }
         };
         let (metrics, rooms) = (self.metrics.clone(), self.rooms.clone());
