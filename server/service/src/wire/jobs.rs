@@ -36,7 +36,7 @@ pub enum JobSpec {
     /// Dataset version to table of errors.
     Evaluate(EvaluateSpec),
     /// Dataset version to frames.
-    PathRender(PathRenderSpec),
+    PathRender(Box<PathRenderSpec>),
     /// Dataset version to a smaller one.
     Thin(Box<ThinSpec>),
     /// Scene to observation map.
@@ -306,7 +306,7 @@ pub fn job_spec(message: Option<proto::JobSpec>, limits: &SpecLimits) -> Result<
     Ok(match required(message.spec, "spec.spec")? {
         Spec::Capture(m) => JobSpec::Capture(Box::new(capture(m, "spec.capture")?)),
         Spec::Evaluate(m) => JobSpec::Evaluate(evaluate(m, limits, "spec.evaluate")?),
-        Spec::PathRender(m) => JobSpec::PathRender(path_render(m, limits, "spec.path_render")?),
+        Spec::PathRender(m) => JobSpec::PathRender(Box::new(path_render(m, limits, "spec.path_render")?)),
         Spec::Thin(m) => JobSpec::Thin(Box::new(thin(m, "spec.thin")?)),
         Spec::Observe(m) => JobSpec::Observe(Box::new(observe(m, "spec.observe")?)),
         Spec::Fit(m) => JobSpec::Fit(fit(m, "spec.fit")?),
