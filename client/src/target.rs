@@ -21,8 +21,12 @@ pub struct TargetFlags {
 
 /// What a chosen row says is not said by flags, too.
 pub fn alone_or_chosen(argument: clap::Arg) -> clap::Arg {
-    let of_row =
-        ["component", "blend", "specular", "filter", "backend", "brdf", "directions", "passes", "truth", "truth_paths", "truth_passes"];
+    let of_row = [
+        ["component", "blend", "specular", "filter", "backend"].as_slice(),
+        &["brdf", "directions", "passes", "environment_turn_deg", "point_light", "refraction_index", "body"],
+        &["truth", "truth_paths", "truth_passes"],
+    ]
+    .concat();
     let is_of_row = of_row.contains(&argument.get_id().as_str());
     if is_of_row { argument.conflicts_with("choose") } else { argument }
 }

@@ -29,6 +29,7 @@ export class Pane {
   private readonly session: Session<Camera, SettingsUpdate, Frame>;
   private readonly sentAt = new Map<bigint, number>();
   private view: Viewpoint | undefined;
+  private size: Size = { width: 1, height: 1 };
   private newestPose = 0n;
   // Whether the picture is a frame of the newest pose, in full size.
   private isCurrent = false;
@@ -65,6 +66,7 @@ export class Pane {
   setView(view: Viewpoint, size: Size): void {
     this.picture.setSize(size);
     this.view = view;
+    this.size = size;
     const id = this.session.setPose(cameraMessage(view, size));
     this.newestPose = BigInt(id);
     this.isCurrent = false;
@@ -87,6 +89,8 @@ export class Pane {
     this.isCurrent = false;
     this.session.setSettings(settingsMessage(this.kind, settings, delivery));
     this.expectFrame();
+    // A pose of its own: a frame of the old settings, still on its way, is not taken for the new picture.
+    if (this.view !== undefined) this.setView(this.view, this.size);
   }
 
   retry(): void {

@@ -5,8 +5,8 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use super::super::Settings;
 use super::super::coarse::with_levels_of_a_face;
+use super::super::{Component, Settings};
 use super::frame::{Fidelity, MOST_DIRECTIONS_AT_ONCE, new_encoder};
 use super::{Kernel, gloss};
 use crate::geometry::{Camera, Intrinsics};
@@ -18,12 +18,13 @@ use crate::textures::{Page, PageId};
 impl Kernel {
     /// Pages that a frame like `request` would miss, at most `upload_bytes` of texels and no more than there are slots that neither the last
     /// frame nor this one wants. Looks at the object alone, whatever stands before it, and at large frames with fewer pixels. None before
-    /// the first frame.
+    /// the first frame, and of clear bodies or other light before the first of those.
     pub(super) fn pages_ahead(&mut self, request: &FrameRequest<'_>, upload_bytes: u64) -> Result<Vec<PageId>, RenderError> {
         let AnySettings::OffsetSurfaceLightField(settings) = request.settings else {
             return Err(RenderError::OtherKind { settings: request.settings.kind() });
         };
-        if self.atlas.is_none() {
+        let has_tree = !matches!(settings.component, Component::Refraction(_)) || self.tree.is_made();
+        if self.atlas.is_none() || !has_tree || !self.is_light_made(settings) {
             return Ok(Vec::new());
         }
         let scale = scale(request.camera, settings, self.gpu.device().limits().max_texture_dimension_2d);

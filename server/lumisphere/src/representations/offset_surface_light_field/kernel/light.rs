@@ -97,6 +97,11 @@ pub(super) fn view(texture: &wgpu::Texture) -> wgpu::TextureView {
 }
 
 impl Kernel {
+    /// Whether such a frame can be drawn with what there is.
+    pub(super) fn is_light_made(&self, settings: &Settings) -> bool {
+        !settings.light.changes_light() || self.light_textures.has_environment
+    }
+
     /// Makes what such a frame needs. What is made counts in the budget: where pages leave it no room they are forgotten.
     pub(super) fn ensure_light(&mut self, settings: &Settings, pages: &CountingSource<'_>) -> Result<(), RenderError> {
         let Some(lit) = self.light_tables.lit(&self.field, settings, pages)? else { return Ok(()) };

@@ -14,6 +14,8 @@ pub(super) struct TreeTexture {
     texture: wgpu::Texture,
     view: wgpu::TextureView,
     first_packet: Option<u32>,
+    /// The room that was too little, and what was said: it is not built again for no more.
+    refused: Option<(u64, GpuError)>,
 }
 
 // 2 to `TREE_BITS` of refraction.wgsl.
@@ -22,7 +24,7 @@ const WIDTH: usize = 1 << 12;
 impl TreeTexture {
     pub fn none(gpu: &Gpu) -> Self {
         let texture = texture(gpu, 1, &[[0.0; 4]]);
-        Self { view: view(&texture), texture, first_packet: None }
+        Self { view: view(&texture), texture, first_packet: None, refused: None }
     }
 
     pub fn view(&self) -> &wgpu::TextureView {
@@ -32,6 +34,11 @@ impl TreeTexture {
     /// On the device.
     pub fn bytes(&self) -> u64 {
         16 * u64::from(self.texture.width()) * u64::from(self.texture.height())
+    }
+
+    /// Whether frames of clear bodies can be drawn.
+    pub fn is_made(&self) -> bool {
+        self.first_packet.is_some()
     }
 
     /// Texels before the packets.
@@ -46,6 +53,10 @@ impl Kernel {
         if !matches!(settings.component, Component::Refraction(_)) || self.tree.first_packet.is_some() {
             return Ok(());
         }
+        let room = self.budget_bytes.saturating_sub(self.fixed_bytes());
+        if let Some((_, error)) = self.tree.refused.as_ref().filter(|(tried, _)| room <= *tried) {
+            return Err(error.clone());
+        }
         let limit = u64::from(self.gpu.device().limits().max_texture_dimension_2d);
         let too_large = |needed| GpuError::BeyondLimit { what: "height of the object's tree in texels", needed, limit };
         let field = &self.field;
@@ -56,10 +67,13 @@ impl Kernel {
         if rows as u64 > limit {
             return Err(too_large(rows as u64));
         }
-        self.check_room("the object's tree", 16 * (rows * WIDTH) as u64)?;
+        if let Err(error) = self.check_room("the object's tree", 16 * (rows * WIDTH) as u64) {
+            self.tree.refused = Some((room, error.clone()));
+            return Err(error);
+        }
         texels.resize(rows * WIDTH, [0.0; 4]);
         let texture = texture(&self.gpu, WIDTH as u32, &texels);
-        self.tree = TreeTexture { view: view(&texture), texture, first_packet: Some(first_packet as u32) };
+        self.tree = TreeTexture { view: view(&texture), texture, first_packet: Some(first_packet as u32), refused: None };
         self.rebind(true);
         Ok(())
     }
