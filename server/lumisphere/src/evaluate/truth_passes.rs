@@ -247,7 +247,7 @@ mod tests {
         let trace = TraceSettings { samples_per_pixel: 256, max_bounces: BOUNCES, seed: 3 };
         let renderer = TruthRenderer::new(&scene, scene.object("ball").unwrap()).unwrap();
         let dielectric = Dielectric::new(1.5, Body::Solid).unwrap();
-        let lamp = PointLight { position: Vec3::new(3.0, 4.0, 2.0), intensity: Vec3::new(20.0, 5.0, 1.0) };
+        let lamp = PointLight { position: Vec3::new(-3.0, 2.0, 3.0), intensity: Vec3::new(20.0, 5.0, 1.0) };
         let light = Relighting::new(1.0, &[lamp]).unwrap();
         let in_light = |component, light| match of_light_field(component) {
             Settings::OffsetSurfaceLightField(settings) => Settings::OffsetSurfaceLightField(oslf::Settings { light, ..settings }),
