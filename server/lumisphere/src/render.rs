@@ -366,6 +366,16 @@ mod tests {
     use crate::representations::offset_surface_light_field as oslf;
     use oslf::tests::fixture::WORLD;
 
+    fn mirror() -> Settings {
+        Settings::OffsetSurfaceLightField(oslf::Settings {
+            component: oslf::Component::Mirror,
+            blend: oslf::Blend::Distance,
+            specular_reflectance: glam::Vec3::ONE,
+            filter: oslf::Filter::Footprint,
+            light: crate::scenes::Relighting::NONE,
+        })
+    }
+
     #[test]
     fn a_dataset_without_room_on_the_device_is_tried_once_and_drawn_by_the_cpu() {
         if crate::gpu::test_gpu().is_none() {
@@ -375,13 +385,7 @@ mod tests {
         let (field, pages) = WORLD.build();
         let camera = WORLD.camera(3.0 * glam::Vec3::Z, glam::Vec3::ZERO, 16, 12);
         let field: Arc<dyn Representation> = Arc::new(field);
-        let settings = Settings::OffsetSurfaceLightField(oslf::Settings {
-            component: oslf::Component::Mirror,
-            blend: oslf::Blend::Distance,
-            specular_reflectance: glam::Vec3::ONE,
-            filter: oslf::Filter::Footprint,
-            light: crate::scenes::Relighting::NONE,
-        });
+        let settings = mirror();
         let outputs = Outputs { depth: false, provenance: false };
         let request = FrameRequest { camera: &camera, settings: &settings, outputs, refine: Refine::Whole };
         let refused = || renderer.gpu.as_ref().map_or(0, |side| side.tier().refused());
@@ -404,13 +408,7 @@ mod tests {
         let (field, pages) = WORLD.build();
         let camera = WORLD.camera(3.0 * glam::Vec3::Z, glam::Vec3::ZERO, 16, 12);
         let field: Arc<dyn Representation> = Arc::new(field);
-        let settings = Settings::OffsetSurfaceLightField(oslf::Settings {
-            component: oslf::Component::Mirror,
-            blend: oslf::Blend::Distance,
-            specular_reflectance: glam::Vec3::ONE,
-            filter: oslf::Filter::Footprint,
-            light: crate::scenes::Relighting::NONE,
-        });
+        let settings = mirror();
         let outputs = Outputs { depth: false, provenance: false };
         let request = FrameRequest { camera: &camera, settings: &settings, outputs, refine: Refine::Whole };
         let frame = || renderer.render(&field, &pages, &request, None).unwrap();
@@ -432,13 +430,7 @@ mod tests {
         let (field, field_pages) = WORLD.build();
         let (map, map_pages) = parameter_map::tests::fixture::WORLD.build(|_| None);
         let of_map = Settings::ParameterMap(parameter_map::Settings::default());
-        let of_field = Settings::OffsetSurfaceLightField(oslf::Settings {
-            component: oslf::Component::Mirror,
-            blend: oslf::Blend::Distance,
-            specular_reflectance: glam::Vec3::ONE,
-            filter: oslf::Filter::Footprint,
-            light: crate::scenes::Relighting::NONE,
-        });
+        let of_field = mirror();
         let camera = WORLD.camera(3.0 * glam::Vec3::Z, glam::Vec3::ZERO, 16, 12);
         let outputs = Outputs { depth: false, provenance: false };
         let refused = |dataset: Arc<dyn Representation>, pages: &dyn PageSource, settings: &Settings| {

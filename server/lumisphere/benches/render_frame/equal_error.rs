@@ -9,10 +9,10 @@ use lumisphere::geometry::Camera;
 use lumisphere::images::{CompareOptions, Image, compare};
 use lumisphere::progress::Unattended;
 use lumisphere::raytrace::{Appearance, TraceSettings, Tracer};
-use lumisphere::render::{Refine, Renderer, Representation, Settings};
+use lumisphere::render::{Refine, Renderer, Representation};
 use lumisphere::representations::CachedPages;
-use lumisphere::representations::offset_surface_light_field::{Blend, Component, Filter, Settings as OslfSettings};
-use lumisphere::scenes::{BuiltinOptions, Relighting, builtin};
+use lumisphere::representations::offset_surface_light_field::{Blend, Component, Filter};
+use lumisphere::scenes::{BuiltinOptions, builtin};
 
 use super::{cpu_millis, request};
 
@@ -42,16 +42,7 @@ pub fn report(field: &Arc<dyn Representation>, pages: &CachedPages, renderer: &R
     println!("view  frame                 FLIP  wall, ms   CPU, ms");
     for (v, camera) in cameras.iter().enumerate() {
         let view = truths.view(camera, &[Truth::OneReflection], &trace(TRUTH_PATHS, 1), &Unattended).expect("nobody cancels");
-        let settings = |blend| {
-            let (component, filter) = (Component::Mirror, Filter::Footprint);
-            Settings::OffsetSurfaceLightField(OslfSettings {
-                component,
-                blend,
-                specular_reflectance: Vec3::ONE,
-                filter,
-                light: Relighting::NONE,
-            })
-        };
+        let settings = |blend| super::settings(Component::Mirror, blend, Filter::Footprint);
         let truth = view.reference(&settings(Blend::Corrected), Truth::OneReflection);
         let flip = |image: &Image| compare(&truth, image, Some(&view.mask), CompareOptions::STANDARD).expect("equal sizes").flip_mean;
         let say = |name: &str, error: f64, wall: f64, cpu: f64| println!("{v:>4}  {name:<20} {error:>6.4} {wall:>9.1} {cpu:>9.1}");

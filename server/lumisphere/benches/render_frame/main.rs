@@ -31,6 +31,12 @@ const GPU_BUDGET_BYTES: u64 = 1 << 30;
 // gpu_upload_bytes_per_frame's default.
 const IDLE_CAP_BYTES: u64 = 16 << 20;
 
+/// In the light that is stored.
+fn settings(component: Component, blend: Blend, filter: Filter) -> Settings {
+    let (specular_reflectance, light) = (Vec3::ONE, Relighting::NONE);
+    Settings::OffsetSurfaceLightField(OslfSettings { component, blend, specular_reflectance, filter, light })
+}
+
 fn main() {
     let mut numbers = std::env::args().skip(1).filter_map(|a| a.parse::<u32>().ok());
     let is_equal_error = std::env::args().any(|a| a == "equal_error");
@@ -60,16 +66,7 @@ fn main() {
         return report_paging(&field, &version, faces, center, radius);
     }
     if std::env::args().any(|a| a == "counting") {
-        let settings = |component, filter| {
-            let blend = Blend::Normal { exponent: 4.0 };
-            Settings::OffsetSurfaceLightField(OslfSettings {
-                component,
-                blend,
-                specular_reflectance: Vec3::ONE,
-                filter,
-                light: Relighting::NONE,
-            })
-        };
+        let settings = |component, filter| settings(component, Blend::Normal { exponent: 4.0 }, filter);
         for (what, component, filter) in [
             ("full", Component::Full, Filter::Footprint),
             ("mirror", Component::Mirror, Filter::Footprint),

@@ -60,11 +60,6 @@ pub(crate) mod binding {
         BindGroupLayoutEntry { binding, visibility, ty, count: None }
     }
 
-    /// For a `uniform_buffer`.
-    pub fn uniform(binding: u32) -> BindGroupLayoutEntry {
-        read_buffer(binding)
-    }
-
     pub fn read_buffer(binding: u32) -> BindGroupLayoutEntry {
         let ty = BufferBindingType::Storage { read_only: true };
         entry(binding, BindingType::Buffer { ty, has_dynamic_offset: false, min_binding_size: None })
@@ -106,10 +101,26 @@ pub(crate) fn storage_buffer<T: bytemuck::Pod>(gpu: &Gpu, label: &str, content: 
     gpu.device().create_buffer_init(&description)
 }
 
+/// Texels of four f32 in rows of `width`, to be read.
+pub(crate) fn float_texture(gpu: &Gpu, label: &str, width: u32, texels: &[[f32; 4]]) -> wgpu::Texture {
+    let description = wgpu::TextureDescriptor {
+        label: Some(label),
+        size: wgpu::Extent3d { width, height: texels.len() as u32 / width, depth_or_array_layers: 1 },
+        mip_level_count: 1,
+        sample_count: 1,
+        dimension: wgpu::TextureDimension::D2,
+        format: wgpu::TextureFormat::Rgba32Float,
+        usage: wgpu::TextureUsages::TEXTURE_BINDING,
+        view_formats: &[],
+    };
+    let order = wgpu::util::TextureDataOrder::default();
+    gpu.device().create_texture_with_data(gpu.queue(), &description, order, bytemuck::cast_slice(texels))
+}
+
 /// A buffer for one `T`, written before each use; `var<storage, read>` to WGSL. Not in the uniform address space: Mesa's lavapipe compiles a
 /// shader anew for every value of a uniform that its branches depend on, such as a frame's size, and keeps a copy of each until the pipeline
 /// goes. Measured with Mesa 22.3 and a viewer who drags: 1.4 MB a frame, for ever.
-pub(crate) fn uniform_buffer<T: bytemuck::Pod>(gpu: &Gpu, label: &str) -> wgpu::Buffer {
+pub(crate) fn value_buffer<T: bytemuck::Pod>(gpu: &Gpu, label: &str) -> wgpu::Buffer {
     gpu.device().create_buffer(&wgpu::BufferDescriptor {
         label: Some(label),
         size: size_of::<T>() as u64,

@@ -20,6 +20,6 @@ pub use device::Gpu;
 #[cfg(test)]
 pub(crate) use device::test_gpu;
 pub use error::GpuError;
-pub(crate) use kernel::{Shader, binding, storage_buffer, uniform_buffer};
+pub(crate) use kernel::{Shader, binding, float_texture, storage_buffer, value_buffer};
 pub(crate) use readback::ReadBack;
 pub use stats::GpuCacheStats;

@@ -3,11 +3,13 @@
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+use lumisphere::geometry::Camera;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
 use crate::errors::{ApiError, Reason};
 use crate::frames::VideoStream;
 use crate::video::{NONE_SENT, Video};
+use crate::wire::settings::Output;
 
 /// Of one viewer.
 #[derive(Clone, Default)]
@@ -20,9 +22,28 @@ struct Taken {
     _place: OwnedSemaphorePermit,
 }
 
+/// Longer and shorter side of a frame: larger ones are beyond the encoder.
+const MAX_SIDES_PX: (u32, u32) = (3840, 2160);
+
 impl Seat {
-    /// Takes a place, if the viewer has none. Error when there is none left.
-    pub fn take(&self, places: &Arc<Semaphore>) -> Result<(), ApiError> {
+    /// Takes a place for whoever wants H.264 and has none; refuses frames that are too large for it.
+    pub fn admit(&self, output: &Output, camera: Option<&Camera>, places: &Arc<Semaphore>) -> Result<(), ApiError> {
+        if !output.has_video() {
+            return Ok(());
+        }
+        if let Some(intrinsics) = camera.map(Camera::intrinsics) {
+            let (width, height) = (intrinsics.width_px, intrinsics.height_px);
+            let (long, short) = MAX_SIDES_PX;
+            if width.max(height) > long || width.min(height) > short {
+                let problem = format!("{width} x {height} pixels, as H264 at most {long} x {short} (or on end) expected");
+                return Err(ApiError::field("pose.camera.intrinsics", problem));
+            }
+        }
+        self.take(places)
+    }
+
+    /// Error when there is none left.
+    fn take(&self, places: &Arc<Semaphore>) -> Result<(), ApiError> {
         let mut seat = self.lock();
         if seat.is_some() {
             return Ok(());

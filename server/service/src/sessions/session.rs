@@ -32,14 +32,12 @@ use crate::prefetch::{Expected, Motion};
 use crate::render_queue::Priority;
 use crate::still::Still;
 use crate::wire::frames::{EncodedFrame, FrameIdentity};
-use crate::wire::settings::{Delivery, Encoding, Output, check_kind, encoding_number, output, render_settings};
+use crate::wire::settings::{Delivery, Encoding, check_kind, encoding_number, output, render_settings};
 use crate::wire::{self, proto};
 use proto::interact_response::Message as Down;
 
 const DEFAULT_CREDITS: u32 = 2;
 const MAX_CREDITS: u32 = 16;
-/// Longer and shorter side of a frame of H.264: larger ones are beyond the encoder.
-const MAX_VIDEO_SIDES_PX: (u32, u32) = (3840, 2160);
 /// A wish that found the render queue full tries again after this time.
 const QUEUE_RETRY: Duration = Duration::from_millis(20);
 /// Frames per second that a moving viewer may ask for.
@@ -178,7 +176,7 @@ impl Session {
         let link = Mutex::new(Link::new(credits));
         let (sent, seat) = (AtomicU64::new(0), Seat::default());
         let session = Self { stage, version, credits, wish, sent, link, seat, taking: Mutex::default(), moving, _room: room };
-        session.check_video(&output, None)?;
+        session.seat.admit(&output, None, &session.stage.video_places)?;
         Ok(session)
     }
 
@@ -233,24 +231,8 @@ impl Session {
             let wish = self.wish.borrow();
             (output.unwrap_or(wish.output), pose.or(wish.pose).map(|(_, camera)| camera))
         };
-        self.check_video(&output_then, camera_then)?;
+        self.seat.admit(&output_then, camera_then.as_ref(), &self.stage.video_places)?;
         Ok(Change { sequence, pose, settings, output, acknowledged })
-    }
-
-    /// Takes a seat for whoever wants H.264 and has none.
-    fn check_video(&self, output: &Output, camera: Option<Camera>) -> Result<(), ApiError> {
-        if !output.has_video() {
-            return Ok(());
-        }
-        if let Some(intrinsics) = camera.as_ref().map(Camera::intrinsics) {
-            let (width, height) = (intrinsics.width_px, intrinsics.height_px);
-            let (long, short) = MAX_VIDEO_SIDES_PX;
-            if width.max(height) > long || width.min(height) > short {
-                let problem = format!("{width} x {height} pixels, as H264 at most {long} x {short} (or on end) expected");
-                return Err(ApiError::field("pose.camera.intrinsics", problem));
-            }
-        }
-        self.seat.take(&self.stage.video_places)
     }
 
     /// For a new stream: what was on its way in the old one has arrived or never will.

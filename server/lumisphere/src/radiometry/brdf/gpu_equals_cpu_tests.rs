@@ -9,7 +9,7 @@ use rand_pcg::Pcg32;
 
 use super::*;
 use crate::gpu::layout_check::{assert_same_layout, validated};
-use crate::gpu::{Gpu, ReadBack, Shader, binding, storage_buffer, test_gpu, uniform_buffer};
+use crate::gpu::{Gpu, ReadBack, Shader, binding, storage_buffer, test_gpu, value_buffer};
 use crate::images::{Tolerance, count_beyond};
 
 /// `brdf.wgsl` with a kernel that asks it everything about a pair of directions and a pair of numbers.
@@ -52,9 +52,9 @@ struct Reply {
 
 fn ask(gpu: &Arc<Gpu>, brdf: &AnalyticBrdf, questions: &[Question]) -> Vec<Reply> {
     let bytes = size_of_val(questions) as u64;
-    let shader = Shader::new(gpu, "brdf", SOURCE, &[&[binding::uniform(0), binding::read_buffer(1), binding::write_buffer(2)]]);
+    let shader = Shader::new(gpu, "brdf", SOURCE, &[&[binding::read_buffer(0), binding::read_buffer(1), binding::write_buffer(2)]]);
     let pipeline = shader.compute_pipeline(gpu, "ask", &[("BRDF_MODEL", f64::from(brdf.number()))]);
-    let uniform = uniform_buffer::<BrdfUniform>(gpu, "brdf");
+    let uniform = value_buffer::<BrdfUniform>(gpu, "brdf");
     gpu.queue().write_buffer(&uniform, 0, bytemuck::bytes_of(&brdf.uniform()));
     let asked = storage_buffer(gpu, "questions", questions, wgpu::BufferUsages::empty());
     let replies = storage_buffer(gpu, "replies", &vec![0u8; bytes as usize], wgpu::BufferUsages::COPY_SRC);

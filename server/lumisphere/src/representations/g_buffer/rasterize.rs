@@ -7,13 +7,12 @@ use std::ops::Range;
 
 use bytemuck::{Pod, Zeroable};
 use glam::Vec3;
-use wgpu::util::DeviceExt;
 
 use super::background_tables::BackgroundTables;
 use super::visible_triangles::{Corner, VisibleTriangles};
 use super::{ProxyGeometry, pixel_angle};
 use crate::geometry::Camera;
-use crate::gpu::{Gpu, GpuError, Shader, binding, storage_buffer, uniform_buffer};
+use crate::gpu::{Gpu, GpuError, Shader, binding, float_texture, storage_buffer, value_buffer};
 use crate::scenes::Environment;
 
 /// All of the source of what finishes a band's pixels.
@@ -158,8 +157,8 @@ impl Rasterizer {
         let object_vertices = storage_buffer(gpu, "object vertices", &geometry.object_vertices, none);
         let corners = storage_buffer(gpu, "corners", &triangles.corners, wgpu::BufferUsages::VERTEX);
         let indices = storage_buffer(gpu, "indices", &triangles.indices, wgpu::BufferUsages::INDEX);
-        let camera = uniform_buffer::<CameraUniform>(gpu, "camera");
-        let visibility_shader = Shader::new(gpu, "visibility", VISIBILITY_SOURCE, &[&[binding::uniform(0)]]);
+        let camera = value_buffer::<CameraUniform>(gpu, "camera");
+        let visibility_shader = Shader::new(gpu, "visibility", VISIBILITY_SOURCE, &[&[binding::read_buffer(0)]]);
         let camera_only = visibility_shader.bind(gpu, 0, &[camera.as_entire_binding()]);
         let environment_bytes = u64::from(environment.width()) * u64::from(environment.height()) * 16;
         let buffers = [&object_triangles, &object_vertices, &corners, &indices];
@@ -337,7 +336,7 @@ impl Band {
 
 /// Group 0 of every kernel that includes `band.wgsl`.
 pub(crate) fn band_entries() -> [wgpu::BindGroupLayoutEntry; 4] {
-    [binding::uniform(0), binding::uint_texture(1), binding::write_buffer(2), binding::write_buffer(3)]
+    [binding::read_buffer(0), binding::uint_texture(1), binding::write_buffer(2), binding::write_buffer(3)]
 }
 
 fn band_bindings<'a>(
@@ -406,18 +405,7 @@ fn environment_texture(gpu: &Gpu, environment: &Environment) -> Result<(wgpu::Te
         return Err(GpuError::BeyondLimit { what: "width of the environment map in texels", needed: width.max(height) as u64, limit });
     }
     let texels: Vec<[f32; 4]> = (0..width * height).map(|at| texel(at).extend(0.0).into()).collect();
-    let description = wgpu::TextureDescriptor {
-        label: Some("environment"),
-        size: wgpu::Extent3d { width: width as u32, height: height as u32, depth_or_array_layers: 1 },
-        mip_level_count: 1,
-        sample_count: 1,
-        dimension: wgpu::TextureDimension::D2,
-        format: wgpu::TextureFormat::Rgba32Float,
-        usage: wgpu::TextureUsages::TEXTURE_BINDING,
-        view_formats: &[],
-    };
-    let order = wgpu::util::TextureDataOrder::default();
-    Ok((gpu.device().create_texture_with_data(gpu.queue(), &description, order, bytemuck::cast_slice(&texels)), turn))
+    Ok((float_texture(gpu, "environment", width as u32, &texels), turn))
 }
 
 /// Bands laid open.

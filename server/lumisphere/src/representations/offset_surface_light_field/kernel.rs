@@ -14,7 +14,7 @@ use rayon::prelude::*;
 use super::coarse::{Coarse, with_levels};
 use super::relight::LightTables;
 use super::{Blend, Component, Filter, Gloss, OffsetSurfaceLightField, Settings};
-use crate::gpu::{Atlas, AtlasShape, Gpu, GpuCacheStats, GpuError, ReadBack, Shader, binding, storage_buffer, uniform_buffer};
+use crate::gpu::{Atlas, AtlasShape, Gpu, GpuCacheStats, GpuError, ReadBack, Shader, binding, storage_buffer, value_buffer};
 use crate::radiometry::brdf::BrdfUniform;
 use crate::radiometry::dielectric::Body;
 use crate::representations::frame_output::{BAND_BYTES, BYTES_PER_PIXEL, BoundBand, MAX_BAND_PIXELS};
@@ -152,13 +152,13 @@ impl Kernel {
         let entries = [
             binding::read_buffer(0),
             binding::read_buffer(1),
-            binding::uniform(2),
+            binding::read_buffer(2),
             binding::read_buffer(3),
             binding::read_buffer(4),
             binding::read_buffer(5),
             binding::write_buffer(6),
-            binding::uniform(7),
-            binding::uniform(8),
+            binding::read_buffer(7),
+            binding::read_buffer(8),
         ];
         let [a, b, c, d] = [0, 1, 2, 3].map(binding::texture_array);
         let atlas_entries = [a, b, c, d, binding::texture(4), binding::texture(5), binding::texture(6)];
@@ -171,9 +171,9 @@ impl Kernel {
         let kernel = Self {
             rasterizer: Rasterizer::new(&gpu, &geometry)?,
             shader: Shader::new(&gpu, "offset surface light field", SOURCE, &[&band_entries(), &entries, &atlas_entries]),
-            shading: uniform_buffer::<ShadingUniform>(&gpu, "shading"),
-            gloss: uniform_buffer::<BrdfUniform>(&gpu, "gloss"),
-            light: uniform_buffer::<LightUniform>(&gpu, "light"),
+            shading: value_buffer::<ShadingUniform>(&gpu, "shading"),
+            gloss: value_buffer::<BrdfUniform>(&gpu, "gloss"),
+            light: value_buffer::<LightUniform>(&gpu, "light"),
             light_tables: LightTables::default(),
             light_textures: LightTextures::none(&gpu),
             tree: TreeTexture::none(&gpu),

@@ -10,7 +10,7 @@ use bytemuck::{Pod, Zeroable};
 
 use super::{ParameterMap, QUADS_PER_PAGE, Show};
 use crate::directions::harmonic_recurrence;
-use crate::gpu::{Gpu, GpuCacheStats, GpuError, Shader, binding, storage_buffer, uniform_buffer};
+use crate::gpu::{Gpu, GpuCacheStats, GpuError, Shader, binding, storage_buffer, value_buffer};
 use crate::representations::frame_output::{BAND_BYTES, BYTES_PER_PIXEL, BoundBand, FrameOutput, MAX_BAND_PIXELS, bands};
 use crate::representations::g_buffer::{ProxyGeometry, Rasterizer, band_entries};
 use crate::representations::page_source::CountingSource;
@@ -66,7 +66,7 @@ impl Kernel {
         let entries = [
             binding::read_buffer(0),
             binding::read_buffer(1),
-            binding::uniform(2),
+            binding::read_buffer(2),
             binding::read_buffer(3),
             binding::read_buffer(4),
             binding::read_buffer(5),
@@ -77,7 +77,7 @@ impl Kernel {
             rasterizer: Rasterizer::new(&gpu, &geometry)?,
             pipeline: shader.compute_pipeline(&gpu, "shade", &[]),
             shader,
-            shading: uniform_buffer::<ShadingUniform>(&gpu, "shading"),
+            shading: value_buffer::<ShadingUniform>(&gpu, "shading"),
             texels: storage_buffer(&gpu, "texels", &words, none),
             recurrence: storage_buffer(&gpu, "recurrence", &harmonic_recurrence(), none),
             numbers: None,

@@ -1,12 +1,11 @@
 //! What frames in other light need on the device: made when the first of them is drawn.
 
 use bytemuck::bytes_of;
-use wgpu::util::DeviceExt;
 
 use super::super::Settings;
 use super::super::relight::{EnvironmentCube, StoredAndShown};
 use super::{Kernel, LightUniform, PointLightUniform};
-use crate::gpu::{Gpu, GpuError};
+use crate::gpu::{Gpu, GpuError, float_texture};
 use crate::representations::RenderError;
 use crate::representations::page_source::CountingSource;
 use crate::scenes::{MOST_POINT_LIGHTS, PointLight};
@@ -31,7 +30,7 @@ const TEXELS_OF_A_POINT: usize = 6;
 
 impl LightTextures {
     pub fn none(gpu: &Gpu) -> Self {
-        let [environment, irradiances] = [0, 1].map(|_| texture(gpu, 1, &[[0.0; 4]]));
+        let [environment, irradiances] = [0, 1].map(|_| float_texture(gpu, "no other light", 1, &[[0.0; 4]]));
         let views = [&environment, &irradiances].map(view);
         Self { environment, irradiances, views, size: 1, base: 0, has_environment: false, shown: None }
     }
@@ -53,7 +52,7 @@ impl LightTextures {
             return Err(GpuError::BeyondLimit { what: "height of the environment's cube map in texels", needed, limit });
         }
         let texels: Vec<[f32; 4]> = cube.texels.iter().map(|radiance| radiance.extend(0.0).into()).collect();
-        self.environment = texture(gpu, cube.size, &texels);
+        self.environment = float_texture(gpu, "environment cube", cube.size, &texels);
         self.views[0] = view(&self.environment);
         (self.size, self.base, self.has_environment) = (cube.size, cube.base, true);
         Ok(())
@@ -65,7 +64,7 @@ impl LightTextures {
             let vectors = irradiance.stored.iter().chain(&irradiance.shown);
             point.iter_mut().zip(vectors).for_each(|(texel, vector)| *texel = vector.extend(0.0).into());
         }
-        self.irradiances = texture(gpu, (POINTS_IN_A_ROW * TEXELS_OF_A_POINT) as u32, &texels);
+        self.irradiances = float_texture(gpu, "irradiances", (POINTS_IN_A_ROW * TEXELS_OF_A_POINT) as u32, &texels);
         self.views[1] = view(&self.irradiances);
         self.shown = Some(shown);
     }
@@ -74,22 +73,6 @@ impl LightTextures {
 // Whole rows.
 fn texels_of(points: usize) -> usize {
     points.div_ceil(POINTS_IN_A_ROW) * POINTS_IN_A_ROW * TEXELS_OF_A_POINT
-}
-
-/// Rows of `width` texels.
-pub(super) fn texture(gpu: &Gpu, width: u32, texels: &[[f32; 4]]) -> wgpu::Texture {
-    let description = wgpu::TextureDescriptor {
-        label: Some("light"),
-        size: wgpu::Extent3d { width, height: texels.len() as u32 / width, depth_or_array_layers: 1 },
-        mip_level_count: 1,
-        sample_count: 1,
-        dimension: wgpu::TextureDimension::D2,
-        format: wgpu::TextureFormat::Rgba32Float,
-        usage: wgpu::TextureUsages::TEXTURE_BINDING,
-        view_formats: &[],
-    };
-    let order = wgpu::util::TextureDataOrder::default();
-    gpu.device().create_texture_with_data(gpu.queue(), &description, order, bytemuck::cast_slice(texels))
 }
 
 pub(super) fn view(texture: &wgpu::Texture) -> wgpu::TextureView {

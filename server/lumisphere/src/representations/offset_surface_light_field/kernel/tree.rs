@@ -5,8 +5,8 @@ use std::sync::Arc;
 use super::super::refraction::ObjectTree;
 use super::super::{Component, Settings};
 use super::Kernel;
-use super::light::{texture, view};
-use crate::gpu::{Gpu, GpuError};
+use super::light::view;
+use crate::gpu::{Gpu, GpuError, float_texture};
 use crate::representations::g_buffer::ProxyGeometry;
 
 /// Nodes and packets, or a texel that is never read.
@@ -23,7 +23,7 @@ const WIDTH: usize = 1 << 12;
 
 impl TreeTexture {
     pub fn none(gpu: &Gpu) -> Self {
-        let texture = texture(gpu, 1, &[[0.0; 4]]);
+        let texture = float_texture(gpu, "no tree", 1, &[[0.0; 4]]);
         Self { view: view(&texture), texture, first_packet: None, refused: None }
     }
 
@@ -72,7 +72,7 @@ impl Kernel {
             return Err(error);
         }
         texels.resize(rows * WIDTH, [0.0; 4]);
-        let texture = texture(&self.gpu, WIDTH as u32, &texels);
+        let texture = float_texture(&self.gpu, "tree", WIDTH as u32, &texels);
         self.tree = TreeTexture { view: view(&texture), texture, first_packet: Some(first_packet as u32), refused: None };
         self.rebind(true);
         Ok(())
