@@ -4,14 +4,18 @@
     lumisphere render --dataset teapot --component mirror --frames 32 --size 640x480 --out frames
     venv/bin/python docs/rivals/viser_frames.py frames --render-millis R
 
-R is what a frame takes our renderer. Its stand-in sleeps here, one frame at a time, so that viser has the processors to itself. The
-server is used as nerfstudio's viewer uses it: a callback on each new camera sets the client's background image, as JPEG, and flushes. The
+R is what a frame takes our renderer. Its stand-in draws one frame at a time: a sleep (`--renderer sleep`: as on a graphics card, viser has
+the processors to itself) or as much computing as keeps every core busy for so long when nothing else runs (`--renderer work`, as lavapipe
+does, which our bench renders with). The server is used as nerfstudio's viewer uses it: a callback on each new camera sets the client's background image, as JPEG, and flushes. The
 client is a process of its own and speaks viser's protocol (windows of messages, zstd-packed msgpack).
 """
 
 import argparse
 import asyncio
+import concurrent.futures
+import hashlib
 import multiprocessing
+import os
 import pathlib
 import statistics
 import threading
@@ -30,10 +34,32 @@ WARM_UP, RUNS = 8, 101
 POSE_SECONDS = 0.016
 
 
-def serve(frames: list, render_seconds: float, ready) -> None:
+def working(seconds: float):
+    """A function that keeps each core busy for so long, if they are free."""
+    cores, data = os.cpu_count(), bytes(1 << 16)
+    pool = concurrent.futures.ThreadPoolExecutor(cores)
+
+    def hashed(blocks: int) -> None:
+        # Lets other threads of Python run.
+        sink = hashlib.sha256()
+        for _ in range(blocks):
+            sink.update(data)
+
+    def work(blocks: int) -> float:
+        begun = time.perf_counter()
+        list(pool.map(hashed, [blocks] * cores))
+        return time.perf_counter() - begun
+
+    # The best of some: others may run beside.
+    blocks = int(200 * seconds / min(work(200) for _ in range(20)))
+    return lambda: work(blocks)
+
+
+def serve(frames: list, render_seconds: float, renderer: str, ready) -> None:
     """A frame for each camera; its position's x is the pose's number."""
+    draw = working(render_seconds) if renderer == "work" else lambda: time.sleep(render_seconds)
     server = viser.ViserServer(host="127.0.0.1", port=PORT, verbose=False)
-    renderer = threading.Lock()
+    turn = threading.Lock()
 
     @server.on_client_connect
     def _(client) -> None:
@@ -41,8 +67,8 @@ def serve(frames: list, render_seconds: float, ready) -> None:
         def _(camera) -> None:
             frame = frames[int(camera.position[0]) % len(frames)]
             if render_seconds > 0:
-                with renderer:
-                    time.sleep(render_seconds)
+                with turn:
+                    draw()
             client.scene.set_background_image(frame, format="jpeg", jpeg_quality=QUALITY)
             client.flush()
 
@@ -157,6 +183,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("frames", type=pathlib.Path)
     parser.add_argument("--render-millis", type=float, default=0.0)
+    parser.add_argument("--renderer", choices=["sleep", "work"], default="sleep")
     parser.add_argument("--seconds", type=float, default=15.0)
     parser.add_argument("--stall-seconds", type=float, default=45.0)
     arguments = parser.parse_args()
@@ -167,7 +194,7 @@ def main() -> None:
     def served(render_millis: float, client) -> None:
         context = multiprocessing.get_context("spawn")
         ready = context.Event()
-        process = context.Process(target=serve, args=(frames, render_millis / 1e3, ready), daemon=True)
+        process = context.Process(target=serve, args=(frames, render_millis / 1e3, arguments.renderer, ready), daemon=True)
         process.start()
         assert ready.wait(60)
         try:

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use bytes::Bytes;
 use lumisphere::geometry::Camera;
-use lumisphere::images::{ExrStorage, Image, encode_exr_rgb, encode_jpeg, encode_png, tone_mapped};
+use lumisphere::images::{ExrStorage, Image, ImageError, Rgb8, ToneMap, encode_exr_rgb, encode_jpeg, encode_png, tone_mapped_pixels};
 use lumisphere::render::{Backend, Frame, FrameRequest, Outputs, Refine, RenderError, Renderer};
 use lumisphere::textures::{Page, PageId};
 use tokio::sync::OwnedSemaphorePermit;
@@ -418,6 +418,12 @@ pub fn color_image(still: &Still) -> Image {
     image
 }
 
+/// The colour of a still as a screen shows it.
+fn color_codes(still: &Still, tone_map: ToneMap) -> Result<Rgb8, ImageError> {
+    let width = still.order.camera.intrinsics().width_px as usize;
+    tone_mapped_pixels(still.pixels().color.as_chunks().0, width, tone_map)
+}
+
 fn observe(metrics: &Metrics, timings: &proto::FrameTimings) {
     metrics.frames.inc();
     metrics.frame_stage("queue", timings.queue_micros);
@@ -467,16 +473,16 @@ fn encode(still: &mut Still, metrics: &Metrics) -> Result<EncodedFrame, ApiError
 
 /// Every image is a key but those of H.264 that say what has changed.
 fn encode_color(still: &Still, encoding: Encoding) -> Result<Encoded, ApiError> {
-    let failed = |e: lumisphere::images::ImageError| ApiError::internal(format!("cannot encode a frame: {e}"));
+    let failed = |e: ImageError| ApiError::internal(format!("cannot encode a frame: {e}"));
     let encoded = match encoding {
         Encoding::RawZstd => {
             return Ok(Encoded { bytes: compressed(still.pixels().color.iter().map(|v| v.to_le_bytes()))?, is_key: true, number: 0 });
         }
         Encoding::Exr => encode_exr_rgb(&color_image(still), ExrStorage::Float),
-        Encoding::Png { tone_map } => tone_mapped(&color_image(still), tone_map).and_then(|i| encode_png(&i)),
-        Encoding::Jpeg { quality, tone_map } => tone_mapped(&color_image(still), tone_map).and_then(|i| encode_jpeg(&i, quality)),
+        Encoding::Png { tone_map } => color_codes(still, tone_map).and_then(|i| encode_png(&i)),
+        Encoding::Jpeg { quality, tone_map } => color_codes(still, tone_map).and_then(|i| encode_jpeg(&i, quality)),
         Encoding::H264 { quality, tone_map } => {
-            let image = tone_mapped(&color_image(still), tone_map).map_err(failed)?;
+            let image = color_codes(still, tone_map).map_err(failed)?;
             let video = still.order.video.as_ref().ok_or_else(|| ApiError::internal("a frame of a stream without the stream"))?;
             return video.lock().unwrap_or_else(PoisonError::into_inner).encode(&image, quality);
         }

@@ -303,6 +303,22 @@ fn a_size_within_limits_that_so_short_a_file_cannot_hold_is_refused() {
 }
 
 #[test]
+fn a_jpeg_of_strips_is_the_picture_of_one_pass() {
+    // Whole strips, one row more, part of a minimum coded unit, more strips than there are restart markers.
+    for (width, height) in [(40, 64), (17, 33), (8, 7), (3, 400)] {
+        let image = checker(width, height);
+        for quality in [10, 89, 90, 100] {
+            let strips = encode_jpeg(&image, JpegQuality::new(quality).unwrap()).unwrap();
+            let mut one = Vec::new();
+            let encoder = jpeg_encoder::Encoder::new(&mut one, quality);
+            encoder.encode(&image.bytes, width as u16, height as u16, jpeg_encoder::ColorType::Rgb).unwrap();
+            let (strips, one) = (decode_jpeg_codes(&strips, LIMITS).unwrap(), decode_jpeg_codes(&one, LIMITS).unwrap());
+            assert!(strips == one, "{width} × {height} at quality {quality}");
+        }
+    }
+}
+
+#[test]
 fn black_images_which_compress_best_are_not_taken_for_lies() {
     let black = Image::zeros(1024, 1024, 3);
     for compression in [ExrCompression::Zip, ExrCompression::Piz] {

@@ -37,4 +37,4 @@ pub use png::{decode_png, decode_png_codes, encode_png};
 pub use read::{Nan, ReadLimits, decode_image, decode_image_codes, read_image};
 pub use rgb8::Rgb8;
 pub use tolerances::Tolerance;
-pub use tone_map::{Exposure, ToneMap, tone_mapped};
+pub use tone_map::{Exposure, ToneMap, tone_mapped, tone_mapped_pixels};

@@ -70,29 +70,40 @@ pub fn tone_mapped(image: &Image, tone_map: ToneMap) -> Result<Rgb8, ImageError>
     let [red, green, blue, ..] = &image.planes[..] else {
         return Err(ImageError::Shape { expected: "3 planes".into(), actual: format!("{} planes", image.channels()) });
     };
+    Ok(codes(image.width, image.height, tone_map, |i| [red[i], green[i], blue[i]]))
+}
+
+/// The same of whole rows of linear R G B, as a renderer leaves them.
+pub fn tone_mapped_pixels(pixels: &[[f32; 3]], width: usize, tone_map: ToneMap) -> Result<Rgb8, ImageError> {
+    if width == 0 || !pixels.len().is_multiple_of(width) {
+        return Err(ImageError::Shape { expected: format!("rows of {width} pixels"), actual: format!("{} pixels", pixels.len()) });
+    }
+    Ok(codes(width, pixels.len() / width, tone_map, |i| pixels[i]))
+}
+
+fn codes(width: usize, height: usize, tone_map: ToneMap, pixel: impl Fn(usize) -> [f32; 3] + Sync) -> Rgb8 {
     const PIXELS_PER_TASK: usize = 1 << 14;
     let table = CodeTable::new(tone_map);
-    let mut bytes = vec![0; 3 * image.width * image.height];
+    let mut bytes = vec![0; 3 * width * height];
     bytes.par_chunks_mut(3 * PIXELS_PER_TASK).enumerate().for_each(|(task, codes)| {
-        let start = task * PIXELS_PER_TASK;
-        let samples = red[start..].iter().zip(&green[start..]).zip(&blue[start..]);
-        for (pixel, ((&r, &g), &b)) in codes.chunks_exact_mut(3).zip(samples) {
-            pixel[0] = table.code(r);
-            pixel[1] = table.code(g);
-            pixel[2] = table.code(b);
+        for (i, codes) in (task * PIXELS_PER_TASK..).zip(codes.as_chunks_mut::<3>().0) {
+            *codes = pixel(i).map(|sample| table.code(sample));
         }
     });
-    Ok(Rgb8 { width: image.width, height: image.height, bytes })
+    Rgb8 { width, height, bytes }
 }
 
 /// Finds a sample's code among 255 thresholds: the upper bits of an f32 (exponent and 7 bits of mantissa) index a bucket that
-/// knows the code of its lower end; buckets are narrower than codes, so at most one threshold is left to pass.
+/// knows the code of its lower end; buckets are narrower than codes, so at most one threshold is left to pass. Without branches, which noise
+/// would mislead.
 struct CodeTable {
     /// `thresholds[code]` is the least sample shown as `code`; the last is infinite and belongs to no code.
     thresholds: [f32; 257],
     /// Code at the lower end of each bucket.
     codes: Vec<u8>,
     first_bucket: u32,
+    /// The lower end of the first bucket; what is shown as white.
+    range: (f32, f32),
 }
 
 impl CodeTable {
@@ -102,24 +113,19 @@ impl CodeTable {
         for (code, threshold) in thresholds.iter_mut().enumerate().take(256).skip(1) {
             *threshold = tone_map.decoded((code as f32 - 0.5) / 255.0);
         }
-        let (first_bucket, last_bucket) = (bucket(thresholds[1]), bucket(thresholds[255]));
+        // One more before, so that the first one's lower end is below the least threshold and not at it.
+        let (first_bucket, last_bucket) = (bucket(thresholds[1]) - 1, bucket(thresholds[255]));
+        let lower_end = |bucket: u32| f32::from_bits(bucket << BUCKET_SHIFT);
         let code_at = |lower: f32| thresholds[1..256].partition_point(|&threshold| threshold <= lower) as u8;
-        let codes = (first_bucket..=last_bucket).map(|bucket| code_at(f32::from_bits(bucket << BUCKET_SHIFT))).collect();
-        Self { thresholds, codes, first_bucket }
+        let codes = (first_bucket..=last_bucket).map(|bucket| code_at(lower_end(bucket))).collect();
+        Self { thresholds, codes, first_bucket, range: (lower_end(first_bucket), thresholds[255]) }
     }
 
     fn code(&self, sample: f32) -> u8 {
-        if !(sample >= self.thresholds[1]) {
-            return 0;
-        }
-        if sample >= self.thresholds[255] {
-            return 255;
-        }
-        let mut code = self.codes[(bucket(sample) - self.first_bucket) as usize];
-        while sample >= self.thresholds[usize::from(code) + 1] {
-            code += 1;
-        }
-        code
+        // NaN becomes the lower end, which is black.
+        let sample = sample.max(self.range.0).min(self.range.1);
+        let code = self.codes[(bucket(sample) - self.first_bucket) as usize];
+        code + u8::from(sample >= self.thresholds[usize::from(code) + 1])
     }
 }
 
@@ -185,11 +191,19 @@ mod tests {
     #[test]
     fn planes_become_interleaved_codes_and_back() {
         let codes = Rgb8 { width: 256, height: 3, bytes: (0..256 * 9).map(|index| (index * 31 % 256) as u8).collect() };
-        assert_eq!(tone_mapped(&codes.to_linear(), ToneMap::PLAIN).unwrap(), codes);
+        let linear = codes.to_linear();
+        assert_eq!(tone_mapped(&linear, ToneMap::PLAIN).unwrap(), codes);
+        let [red, green, blue] = &linear.planes[..] else { panic!("three planes") };
+        let pixels: Vec<[f32; 3]> = red.iter().zip(green).zip(blue).map(|((r, g), b)| [*r, *g, *b]).collect();
+        assert_eq!(tone_mapped_pixels(&pixels, 256, ToneMap::PLAIN).unwrap(), codes);
     }
 
     #[test]
-    fn too_few_planes_are_a_typed_error() {
+    fn too_few_planes_and_parts_of_rows_are_typed_errors() {
+        for (pixels, width) in [(5, 2), (0, 0), (3, 0)] {
+            let refused = tone_mapped_pixels(&vec![[0.0; 3]; pixels], width, ToneMap::PLAIN);
+            assert!(matches!(refused, Err(ImageError::Shape { .. })), "{pixels} pixels in rows of {width}");
+        }
         assert!(matches!(tone_mapped(&Image::zeros(4, 4, 2), ToneMap::PLAIN), Err(ImageError::Shape { .. })));
     }
 }
