@@ -1,6 +1,7 @@
 //! Ground truth as frames: traced when asked for, alone, in a viewer's stream and on the command line, behind everyone else.
 
 use std::fs;
+use std::time::Instant;
 
 use lumisphere::images::{Image, ReadLimits, decode_image};
 use lumisphere_proto::v1alpha1 as wire;
@@ -11,7 +12,7 @@ use wire::render_settings::Representation;
 
 use crate::clients::with_dataset;
 use crate::photographs::of_photographs;
-use crate::process::{Server, temporary_folder};
+use crate::process::{PATIENCE, Server, temporary_folder};
 use crate::system::metric;
 use crate::tiny::{self, DATASET, QUICK};
 use crate::viewers::{TRANSPORTS, Transport, Viewer, opening};
@@ -152,6 +153,45 @@ async fn whoever_looks_at_what_is_stored_does_not_wait_for_paths() {
     traced.abort();
     assert_eq!(alone(&server, truth(2, 1)).await.passes_done, 2);
     server.succeed(&[&job[..], &["--truth", "--truth-passes", "2"]].concat());
+}
+
+/// Their frame would be shown, had they been finished, and the processors would have worked for it.
+#[tokio::test(flavor = "multi_thread")]
+async fn paths_that_a_viewer_has_moved_on_from_are_given_up_in_the_midst_of_a_pass() {
+    let (_folder, server) = with_dataset().await;
+    // So that the scene is ready.
+    alone(&server, truth(1, 1)).await;
+    let idle = server.cpu_seconds();
+    let whole = wire::RenderFrameRequest { camera: Some(camera(256, 256)), ..request(truth(1, 64)) };
+    server.rendering().await.render_frame(whole).await.unwrap();
+    let pass = server.cpu_seconds() - idle;
+    for (passes, moving_frames_per_second) in [(2, 0.0), (1, 30.0)] {
+        let open = wire::OpenInteraction { settings: Some(truth(passes, 64)), moving_frames_per_second, ..opening(1) };
+        let mut viewer = Viewer::open_as(&server, open, Transport::Interact).await.unwrap();
+        let mut pose_id = 0;
+        // The first pass, or a frame of fewer pixels as soon as it is known what paths cost.
+        loop {
+            pose_id += 1;
+            viewer.pose(pose_id, camera(256, 256)).await;
+            let frame = viewer.frame().await;
+            viewer.acknowledge(frame.frame_id).await;
+            if !frame.is_final {
+                break;
+            }
+            assert!(pose_id < 10, "nothing is left to do in {passes} passes");
+        }
+        // Nothing else has work: paths are traced.
+        let (begun, idle) = (Instant::now(), server.cpu_seconds());
+        while server.cpu_seconds() < idle + 0.1 * pass {
+            assert!(begun.elapsed() < PATIENCE, "nothing is traced");
+            tokio::task::yield_now().await;
+        }
+        viewer.pose(pose_id + 1, camera(SIZE.0, SIZE.1)).await;
+        assert_eq!(viewer.frame().await.pose_id, pose_id + 1, "{passes} passes");
+        let spent = server.cpu_seconds() - idle;
+        assert!(spent < 0.6 * pass, "{spent} s of processor time for the beginning of a pass of {pass} s, {passes} passes");
+        viewer.leave().await;
+    }
 }
 
 #[tokio::test]

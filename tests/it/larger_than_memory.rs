@@ -16,6 +16,7 @@ use wire::render_settings::Representation;
 use crate::prefetch::has_adapter;
 use crate::process::{PATIENCE, Server, temporary_folder};
 use crate::tiny::{self, DATASET, QUICK};
+use crate::viewers::{Transport, Viewer, opening};
 use crate::wire::{camera_around, frame_request, settings};
 
 /// Without pages: the captured one, of which it takes everything but these.
@@ -23,6 +24,9 @@ const LARGE: &str = "large";
 /// Texels along a face, of four channels in f32: a quarter of a MiB.
 const FACE_SIZE: u32 = 128;
 const FACE_BYTES: u64 = 16 * (FACE_SIZE as u64).pow(2);
+
+/// Of most frames, in pixels.
+const SIZE: (u32, u32) = (64, 48);
 
 /// A band of pixels, the ring and the geometry take 42 MB of it.
 const GPU_BUDGET: u64 = 52 << 20;
@@ -98,13 +102,20 @@ fn full(backend: wire::Backend, filter: Filter) -> wire::RenderSettings {
     settings
 }
 
+fn camera_at(step: u32, steps: u32, (width_px, height_px): (u32, u32)) -> wire::Camera {
+    camera_around(std::f32::consts::TAU * step as f32 / steps as f32, width_px, height_px)
+}
+
 /// Once around the box: the bytes of every frame.
-async fn frames(server: &Server, steps: u32, (width_px, height_px): (u32, u32), settings: &wire::RenderSettings) -> Vec<Vec<u8>> {
+async fn frames(server: &Server, steps: u32, size: (u32, u32), settings: &wire::RenderSettings) -> Vec<Vec<u8>> {
     let mut rendering = server.rendering().await;
     let mut frames = Vec::new();
     for step in 0..steps {
-        let camera = camera_around(std::f32::consts::TAU * step as f32 / steps as f32, width_px, height_px);
-        let request = wire::RenderFrameRequest { camera: Some(camera), settings: Some(settings.clone()), ..frame_request(LARGE) };
+        let request = wire::RenderFrameRequest {
+            camera: Some(camera_at(step, steps, size)),
+            settings: Some(settings.clone()),
+            ..frame_request(LARGE)
+        };
         let frame = rendering.render_frame(request).await.unwrap().into_inner();
         assert_eq!(i32::from(frame.backend()), settings.backend, "step {step}");
         frames.push(frame.color.to_vec());
@@ -127,7 +138,7 @@ async fn a_dataset_ten_times_the_adapters_and_five_times_the_memorys_budget_look
     if !has_adapter(&resident) {
         return;
     }
-    let expected = frames(&resident, 6, (64, 48), &full(wire::Backend::Gpu, Filter::Footprint)).await;
+    let expected = frames(&resident, 6, SIZE, &full(wire::Backend::Gpu, Filter::Footprint)).await;
     assert!(expected.windows(2).all(|pair| pair[0] != pair[1]));
     let held = tiers(&resident).await;
     assert!(held.iter().all(|tier| tier.evictions == 0), "{held:?}");
@@ -139,7 +150,7 @@ async fn a_dataset_ten_times_the_adapters_and_five_times_the_memorys_budget_look
     fs::write(&file, budgets).unwrap();
     let small = Server::start_with(&folder.path().join("data"), &["--config", file.to_str().unwrap()]);
     for round in 0..2 {
-        let drawn = frames(&small, 6, (64, 48), &full(wire::Backend::Gpu, Filter::Footprint)).await;
+        let drawn = frames(&small, 6, SIZE, &full(wire::Backend::Gpu, Filter::Footprint)).await;
         for (step, (drawn, expected)) in drawn.iter().zip(&expected).enumerate() {
             assert!(drawn == expected, "another picture at step {step} of round {round}");
         }
@@ -150,6 +161,47 @@ async fn a_dataset_ten_times_the_adapters_and_five_times_the_memorys_budget_look
         assert!(tier.used_bytes <= tier.budget_bytes && tier.peak_bytes <= tier.budget_bytes, "{tier:?}");
         assert!(tier.evictions > 0 && tier.look_ups == tier.hits + tier.misses, "{tier:?}");
     }
+}
+
+/// What each one's frame brings drives out what another's has brought: without end, if a frame that misses pages were always followed by one that
+/// does not wait for them either.
+#[tokio::test(flavor = "multi_thread")]
+async fn viewers_at_rest_who_drive_out_each_others_pages_all_see_their_last_frame() {
+    const VIEWERS: u32 = 16;
+    let folder = temporary_folder();
+    tokio::task::block_in_place(|| store_large(folder.path(), "48"));
+    let settings = full(wire::Backend::Gpu, Filter::Bilinear);
+    let data = folder.path().join("data");
+    // For the pages of one or two of them.
+    let budget = (GPU_BUDGET + 8_000_000).to_string();
+    let small = Server::start_with(&data, &["--gpu-cache-bytes", &budget, "--gpu-upload-bytes-per-frame", "200000"]);
+    if !has_adapter(&small) {
+        return;
+    }
+    let expected = frames(&small, VIEWERS, SIZE, &settings).await;
+    let mut viewers = tokio::task::JoinSet::new();
+    for step in 0..VIEWERS {
+        let open = wire::OpenInteraction { dataset: LARGE.into(), settings: Some(settings.clone()), ..opening(1) };
+        let mut viewer = Viewer::open_as(&small, open, Transport::Interact).await.unwrap();
+        viewers.spawn(async move {
+            viewer.pose(1, camera_at(step, VIEWERS, SIZE)).await;
+            for frames in 1..=1000 {
+                let frame = viewer.frame().await;
+                viewer.acknowledge(frame.frame_id).await;
+                if frame.is_final {
+                    return (step, frames, frame.color);
+                }
+            }
+            panic!("no last frame at step {step}")
+        });
+    }
+    let mut most = 0;
+    while let Some(seen) = viewers.join_next().await {
+        let (step, frames, color) = seen.unwrap();
+        most = most.max(frames);
+        assert!(color == expected[step as usize], "another picture at step {step}");
+    }
+    assert!(most > 4, "there was room for all: {most} frames");
 }
 
 /// Anonymous memory, over what the program has with next to nothing in its cache: pages, blocks, and what the allocator takes beside them.

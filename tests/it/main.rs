@@ -1,6 +1,6 @@
 //! Tests through the real binaries and the real port, and tests of the repository's own rules. One binary: one link.
 //!
-//! The binaries must be built: `tests/run` does, or `cargo build --workspace --bins`.
+//! The binaries must be built: `tests/run` does, or `cargo build --workspace --bins --examples`.
 
 mod bad_input;
 mod cache;
@@ -18,6 +18,7 @@ mod grpc_web;
 mod killed;
 mod larger_than_memory;
 mod load;
+mod lost_device;
 mod main_flow;
 mod memory;
 mod moving;

@@ -27,7 +27,7 @@ pub fn temporary_folder() -> tempfile::TempDir {
 pub fn binary(name: &str) -> PathBuf {
     let test = std::env::current_exe().expect("a test has a path");
     let path = test.parent().and_then(Path::parent).expect("tests lie in target/PROFILE/deps").join(name);
-    assert!(path.exists(), "{} is missing: cargo build --workspace --bins", path.display());
+    assert!(path.exists(), "{} is missing: cargo build --workspace --bins --examples", path.display());
     path
 }
 
@@ -111,8 +111,7 @@ impl Server {
         fs::write(format!("/proc/{}/clear_refs", self.child.id()), "5").expect("Linux lets the parent do this");
     }
 
-    /// Processor time that it has taken, to a hundredth of a second: for the benches.
-    #[allow(dead_code)]
+    /// Processor time that it has taken, to a hundredth of a second.
     pub fn cpu_seconds(&self) -> f64 {
         let stat = fs::read_to_string(format!("/proc/{}/stat", self.child.id())).expect("the server runs");
         // After the name, which may hold anything: field 3 is the first; 14 and 15 are user's and system's, in hundredths (man 5 proc).
