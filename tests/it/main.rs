@@ -19,6 +19,7 @@ mod killed;
 mod larger_than_memory;
 mod load;
 mod main_flow;
+mod measured;
 mod memory;
 mod moving;
 mod paper_tables;

@@ -18,13 +18,13 @@ use crate::textures::{Page, PageId};
 impl Kernel {
     /// Pages that a frame like `request` would miss, at most `upload_bytes` of texels and no more than there are slots that neither the last
     /// frame nor this one wants. Looks at the object alone, whatever stands before it, and at large frames with fewer pixels. None before
-    /// the first frame, and of clear bodies or other light before the first of those.
+    /// the first frame, and of clear bodies, other light or a measured BRDF before the first of those.
     pub(super) fn pages_ahead(&mut self, request: &FrameRequest<'_>, upload_bytes: u64) -> Result<Vec<PageId>, RenderError> {
         let AnySettings::OffsetSurfaceLightField(settings) = request.settings else {
             return Err(RenderError::OtherKind { settings: request.settings.kind() });
         };
         let has_tree = !matches!(settings.component, Component::Refraction(_)) || self.tree.is_made();
-        if self.atlas.is_none() || !has_tree || !self.is_light_made(settings) {
+        if self.atlas.is_none() || !has_tree || !self.is_light_made(settings) || !self.is_table_there(settings) {
             return Ok(Vec::new());
         }
         let scale = scale(request.camera, settings, self.gpu.device().limits().max_texture_dimension_2d);
@@ -94,7 +94,7 @@ fn take_one(room: &mut usize) -> bool {
 
 // The least at which a frame fits a band, in one submission, no side longer than `longest`.
 fn scale(camera: &Camera, settings: &Settings, longest: u32) -> u32 {
-    let directions = gloss(settings.component).map_or(1, |gloss| gloss.directions);
+    let directions = gloss(settings.component).map_or(1, |gloss| gloss.directions_of_a_pixel());
     let most = u64::from(MAX_BAND_PIXELS.min(MOST_DIRECTIONS_AT_ONCE / directions).max(1));
     let Intrinsics { width_px, height_px, .. } = *camera.intrinsics();
     let fits = |scale: &u32| {
