@@ -73,7 +73,7 @@ pub struct GlossFlags {
     /// Passes of so many directions each that a frame is the mean of, 1 to 256 [default: 1]
     #[arg(long, value_name = "P", default_value_t = 0, hide_default_value = true, requires = "brdf")]
     pub passes: u32,
-    /// Whether sample points are blended direction by direction, or integrated one by one first, which takes up to four times the reads [default: blend-first]
+    /// Whether sample points are blended direction by direction, or first integrated one by one, each with directions of its own [default: blend-first]
     #[arg(long, value_enum, requires = "brdf")]
     pub integration_order: Option<Order>,
 }

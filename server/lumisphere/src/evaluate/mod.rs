@@ -13,6 +13,8 @@ pub mod pareto;
 mod relighting_tests;
 mod report;
 mod row;
+#[cfg(test)]
+mod stability_tests;
 mod sweep;
 mod thin;
 mod truth;

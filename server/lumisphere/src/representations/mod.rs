@@ -197,9 +197,9 @@ impl Settings {
         let most = oslf::MOST_DIRECTIONS_PER_FRAME;
         match self {
             Self::OffsetSurfaceLightField(oslf::Settings { component: oslf::Component::Glossy(gloss), .. })
-                if pixels.saturating_mul(gloss.directions_of_a_pixel().into()) > most =>
+                if pixels.saturating_mul(gloss.directions.into()) > most =>
             {
-                Err(RenderError::TooManyDirections { pixels, directions: gloss.directions_of_a_pixel(), most })
+                Err(RenderError::TooManyDirections { pixels, directions: gloss.directions, most })
             }
             Self::OffsetSurfaceLightField(_) | Self::ParameterMap(_) => Ok(()),
         }

@@ -176,8 +176,7 @@ pub struct Gloss {
     pub brdf: GlossBrdf,
     /// In which order sample points are blended and directions summed.
     pub order: Order,
-    /// Directions drawn from it, 1 to [`MOST_DIRECTIONS`]; of all pixels together, with [`Order::IntegrateFirst`] at four sample points each, at most
-    /// [`MOST_DIRECTIONS_PER_FRAME`].
+    /// Directions drawn from it, 1 to [`MOST_DIRECTIONS`], and at most [`MOST_DIRECTIONS_PER_FRAME`] for all pixels.
     pub directions: u32,
     /// Which pass of a still, 0 to [`MOST_PASSES`] − 1; 0 for a frame that is shown alone. The mean of passes 0 … P − 1
     /// ([`Accumulator`](crate::render::Accumulator)) goes to the integral as P grows (`gloss.rs` says how fast).
@@ -196,11 +195,12 @@ pub enum GlossBrdf {
 /// The two orders of the double sum over sample points and directions. They have one limit where the weights βⱼ do not depend on the direction.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Order {
-    /// For each direction the sample points' light is blended, by weights for that direction (the thesis' method 2): M directions a pixel.
+    /// For each direction the sample points' light is blended, by weights for that direction (the thesis' method 2): M directions, each read at every
+    /// sample point that weighs anything.
     BlendFirst,
     /// At each sample point that weighs anything M directions of its own are summed, then the sums blended, by weights for the mirror direction (method
-    /// 1): up to four times as many reads. Of `Corrected`, whose weights are a direction's own, and of the one environment map as
-    /// [`Self::BlendFirst`].
+    /// 1): up to four times as many directions with as many reads. Of `Corrected`, whose weights are a direction's own, and of the one environment map
+    /// as [`Self::BlendFirst`].
     IntegrateFirst,
 }
 
@@ -218,14 +218,6 @@ impl Gloss {
     /// The first pass, sample points blended direction by direction.
     pub fn of(brdf: impl Into<GlossBrdf>, directions: u32) -> Self {
         Self { brdf: brdf.into(), order: Order::BlendFirst, directions, pass: 0 }
-    }
-
-    /// Directions of a pixel, at most.
-    pub fn directions_of_a_pixel(&self) -> u32 {
-        match self.order {
-            Order::BlendFirst => self.directions,
-            Order::IntegrateFirst => 4 * self.directions,
-        }
     }
 
     /// Number of its first direction in the sequence that all passes share.

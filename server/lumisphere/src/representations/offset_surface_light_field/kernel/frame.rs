@@ -325,7 +325,7 @@ fn rows_to_bring(bound: &BoundAtlas, wanted: &[PageRows], missing: &[PageRows], 
 
 // Work of one submission: drivers give up on a device that does not answer for seconds.
 fn in_ranges(pixels: u32, settings: &Settings) -> Vec<Part> {
-    let directions = super::gloss(settings.component).map_or(1, |gloss| gloss.directions_of_a_pixel());
+    let directions = super::gloss(settings.component).map_or(1, |gloss| gloss.directions);
     let step = (MOST_DIRECTIONS_AT_ONCE / directions).max(1);
     (0..pixels).step_by(step as usize).map(|first| Part { pixels: first..pixels.min(first.saturating_add(step)), rounds: 0 }).collect()
 }
