@@ -469,7 +469,7 @@ mod tests {
             (r#"{"model": "lambert", "albedo": [0.5, 1.5, 0.5]}"#, "albedo"),
             (r#"{"model": "measured"}"#, "missing field `table`"),
             (r#"{"model": "measured", "table": "12"}"#, "64"),
-            (r#"{"model": "measured", "table": "", "file": "a.binary"}"#, "unknown field `file`"),
+            (r#"{"model": "measured", "file": "a.binary", "table": ""}"#, "unknown field `file`"),
             (r#"{"model": "lambert", "albedo": [0.5, 0.5, 0.5], "gloss": 1}"#, "unknown field"),
         ] {
             let error = glossy(bad, 1).unwrap_err().to_string();

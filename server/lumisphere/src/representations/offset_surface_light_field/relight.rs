@@ -86,6 +86,7 @@ impl EnvironmentCube {
     }
 
     /// Texels that such a field's has.
+    #[cfg(feature = "gpu")]
     fn texel_count(field: &OffsetSurfaceLightField) -> usize {
         let base = u32::from(field.parameters.face_size_texels > MOST_TEXELS);
         let size = field.level_size(base);
