@@ -10,7 +10,8 @@ use wire::capture_spec::Density;
 
 use crate::byte_sizes::parse_bytes;
 use crate::exit::Failure;
-use crate::render_settings::{Backend, Blend, Component, Filter, Looks, settings};
+use crate::render_settings::{Backend, Blend, Component, Filter};
+use crate::sweep_file::AskedLooks;
 
 /// What is asked of a setting.
 #[derive(Debug, Clone, Args)]
@@ -74,7 +75,9 @@ impl Chosen {
         let filter = row.filter.as_deref().unwrap_or("footprint");
         let filter = Filter::from_str(&flag(filter), false).map_err(|_| unknown("filter", filter))?;
         let backend = Backend::from_str(&row.asked_backend, false).map_err(|_| unknown("backend", &row.asked_backend))?;
-        Ok(settings(component, blend, self.specular, filter, backend, Looks::plain()))
+        let looks = row.more.get("asked_looks").map_or(Ok(AskedLooks::default()), |asked| serde_json::from_value(asked.clone()));
+        let looks = looks.map_err(|_| unknown("looks", &row.more["asked_looks"].to_string()))?;
+        Ok(looks.settings(component, blend, self.specular, filter, backend))
     }
 
     /// How the sample points of the row's dataset were placed, and its face size.

@@ -1,15 +1,21 @@
 //! What to compute and how to return it: flags and the wire's form of them.
 
+use std::path::PathBuf;
+
 use clap::{Args, ValueEnum};
 use lumisphere_proto::v1alpha1 as wire;
+use serde::{Deserialize, Serialize};
 use wire::offset_surface_light_field_settings::{
     Blend as WireBlend, Component as WireComponent, Filter as WireFilter, Gloss, PointLight, Refraction, Relighting,
-    refraction::Body as WireBody,
+    gloss::Order as WireOrder, refraction::Body as WireBody,
 };
 use wire::parameter_map_settings::Show;
 use wire::render_settings::Representation;
 
 use crate::cameras::parse_vec3;
+use crate::context::Context;
+use crate::progress::Meter;
+use crate::upload::{Blob, upload};
 
 /// What to compute.
 #[derive(Debug, Clone, Args)]
@@ -57,7 +63,8 @@ pub struct TruthFlags {
 /// What component glossy shows.
 #[derive(Debug, Clone, Default, Args)]
 pub struct GlossFlags {
-    /// BRDF of component glossy, for example {"model": "cook_torrance", "alpha_x": 0.1, "alpha_y": 0.1, "f0": [0.9, 0.7, 0.3]}
+    /// BRDF of component glossy, for example {"model": "cook_torrance", "alpha_x": 0.1, "alpha_y": 0.1, "f0": [0.9, 0.7, 0.3]}, or
+    /// {"model": "measured", "file": "gold.binary"}, a MERL table, which is uploaded ("table": HASH names one that was)
     #[arg(long, value_name = "JSON")]
     pub brdf: Option<String>,
     /// Directions drawn from it for each pixel, 1 to 4096 [default: 64]
@@ -66,6 +73,19 @@ pub struct GlossFlags {
     /// Passes of so many directions each that a frame is the mean of, 1 to 256 [default: 1]
     #[arg(long, value_name = "P", default_value_t = 0, hide_default_value = true, requires = "brdf")]
     pub passes: u32,
+    /// Whether sample points are blended direction by direction, or first integrated one by one, each with directions of its own [default: blend-first]
+    #[arg(long, value_enum, requires = "brdf")]
+    pub integration_order: Option<Order>,
+}
+
+/// Orders of the double sum over sample points and directions.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Order {
+    /// Blend, then sum
+    BlendFirst,
+    /// Sum, then blend
+    IntegrateFirst,
 }
 
 /// What component refraction shows.
@@ -102,7 +122,7 @@ pub struct Looks<'a> {
 impl Looks<'static> {
     /// As captured, and nothing glossy or clear.
     pub fn plain() -> Self {
-        static GLOSS: GlossFlags = GlossFlags { brdf: None, directions: 0, passes: 0 };
+        static GLOSS: GlossFlags = GlossFlags { brdf: None, directions: 0, passes: 0, integration_order: None };
         static LIGHT: LightFlags = LightFlags { environment_turn_deg: 0.0, point_light: Vec::new() };
         static CLEAR: ClearFlags = ClearFlags { refraction_index: None, body: None };
         Self { gloss: &GLOSS, light: &LIGHT, clear: &CLEAR }
@@ -246,6 +266,27 @@ impl SettingsFlags {
     }
 }
 
+/// The same settings after the file of their measured BRDF was uploaded: they name it by its hash from then on.
+pub async fn with_table(mut settings: wire::RenderSettings, context: &Context) -> anyhow::Result<wire::RenderSettings> {
+    let Some(Representation::OffsetSurfaceLightField(of_field)) = &mut settings.representation else { return Ok(settings) };
+    let Some(gloss) = &mut of_field.gloss else { return Ok(settings) };
+    let Some(file) = table_file(&gloss.brdf) else { return Ok(settings) };
+    let blob = Blob::from_file(&file)?;
+    let mut client = context.connect().await?.datasets();
+    let mut meter = Meter::new(context.output);
+    upload(context, &mut client, &blob, &mut meter, "uploading the table").await?;
+    meter.finish();
+    gloss.brdf = serde_json::json!({"model": "measured", "table": blob.blake3}).to_string();
+    Ok(settings)
+}
+
+/// Of `{"model": "measured", "file": FILE}`; everything else is the server's to judge.
+pub fn table_file(json: &str) -> Option<PathBuf> {
+    let brdf: serde_json::Value = serde_json::from_str(json).ok()?;
+    let members = brdf.as_object().filter(|members| members.len() == 2)?;
+    (members.get("model")? == "measured").then(|| members.get("file")?.as_str().map(PathBuf::from))?
+}
+
 impl TruthFlags {
     /// None where what is stored is shown.
     fn to_wire(&self) -> Option<wire::GroundTruth> {
@@ -302,7 +343,17 @@ pub fn settings(
         exponent,
         specular_reflectance: Some(wire::Vector3 { x, y, z }),
         filter: filter.into(),
-        gloss: gloss.brdf.clone().map(|brdf| Gloss { brdf, directions: gloss.directions, passes: gloss.passes }),
+        gloss: gloss.brdf.clone().map(|brdf| Gloss {
+            brdf,
+            directions: gloss.directions,
+            passes: gloss.passes,
+            order: match gloss.integration_order {
+                None => WireOrder::Unspecified,
+                Some(Order::BlendFirst) => WireOrder::BlendFirst,
+                Some(Order::IntegrateFirst) => WireOrder::IntegrateFirst,
+            }
+            .into(),
+        }),
         relighting: light.to_wire(),
         refraction: (component == WireComponent::Refraction).then(|| Refraction {
             index: clear.refraction_index,
@@ -399,6 +450,20 @@ mod tests {
         assert_eq!(LightFlags::default().to_wire(), None);
         let turned = LightFlags { environment_turn_deg: -30.0, point_light: Vec::new() };
         assert_eq!(turned.to_wire().unwrap().environment_turn_deg, -30.0);
+    }
+
+    #[test]
+    fn a_table_is_named_by_a_file_and_nothing_else_is() {
+        assert_eq!(table_file(r#"{"model": "measured", "file": "a/b.binary"}"#), Some(PathBuf::from("a/b.binary")));
+        for other in [
+            r#"{"model": "measured", "table": "00"}"#,
+            r#"{"model": "lambert", "file": "x"}"#,
+            r#"{"model": "measured", "file": 3}"#,
+            r#"{"model": "measured", "file": "x", "table": "00"}"#,
+            "measured",
+        ] {
+            assert_eq!(table_file(other), None, "{other}");
+        }
     }
 
     #[test]

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Context as _;
 use clap::ValueEnum;
 use lumisphere_proto::v1alpha1 as wire;
+use serde::{Deserialize, Serialize};
 use toml::Value;
 use wire::capture_spec::Density;
 
@@ -13,7 +14,7 @@ use crate::cameras::{OrbitFlags, Size, Views, read_cameras};
 use crate::commands::evaluate::Truth;
 use crate::commands::job::codec_message;
 use crate::exit::Failure;
-use crate::render_settings::{Backend, Blend, Component, Filter, Looks, settings};
+use crate::render_settings::{Backend, Blend, ClearFlags, Component, Filter, GlossFlags, LightFlags, Looks, Order, settings, table_file};
 use crate::scene_source::SceneFlags;
 use crate::sections::{Expected, Section, integer, number, text};
 
@@ -52,10 +53,55 @@ pub struct SweepFile {
 /// A setting, and how reports name what of it they cannot know from the rendering.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Setting {
-    /// As submitted.
+    /// As submitted, but for the file of a measured BRDF.
     pub wire: wire::RenderSettings,
+    /// What of it a choice from the sweep needs beside what the report tells.
+    pub asked: AskedLooks,
     /// `auto`, `gpu` or `cpu`.
     pub backend: String,
+}
+
+/// What a setting shows beside the terms of the sum; in a sweep's rows.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct AskedLooks {
+    /// As `--brdf`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub brdf: Option<String>,
+    /// As `--directions`.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub directions: u32,
+    /// As `--integration-order`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub integration_order: Option<Order>,
+    /// As `--refraction-index`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub refraction_index: Option<f32>,
+    /// As `--environment-turn-deg`; None: not turned.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub environment_turn_deg: Option<f32>,
+}
+
+fn is_zero(number: &u32) -> bool {
+    *number == 0
+}
+
+impl AskedLooks {
+    /// The settings that look so.
+    pub fn settings(
+        &self,
+        component: Component,
+        blend: Blend,
+        specular: [f32; 3],
+        filter: Filter,
+        backend: Backend,
+    ) -> wire::RenderSettings {
+        let gloss =
+            GlossFlags { brdf: self.brdf.clone(), directions: self.directions, passes: 0, integration_order: self.integration_order };
+        let light = LightFlags { environment_turn_deg: self.environment_turn_deg.unwrap_or(0.0), point_light: Vec::new() };
+        let clear = ClearFlags { refraction_index: self.refraction_index, body: None };
+        settings(component, blend, specular, filter, backend, Looks { gloss: &gloss, light: &light, clear: &clear })
+    }
 }
 
 /// A capture, but for the scene's upload.
@@ -90,7 +136,7 @@ impl SweepFile {
         if datasets.is_empty() && captures.is_empty() {
             return Err(top.error("datasets or a table [capture] expected: nothing to evaluate").into());
         }
-        let (settings, specular) = setting_axes(top.section("settings")?)?;
+        let (settings, specular) = setting_axes(top.section("settings")?, folder)?;
         let views = views(top.section("views")?, folder)?;
         let mut truth = top.section("truth")?;
         let truths = truth.axis("kinds", &one_of::<Truth>(&choices::<Truth>()))?.unwrap_or(vec![Truth::OneReflection]);
@@ -264,13 +310,64 @@ fn scene_parameters(s: Section) -> Result<Vec<(String, String)>, Failure> {
     s.all(&Expected { text: "text or a number", read: &plain })
 }
 
-fn setting_axes(mut s: Section) -> anyhow::Result<(Vec<Setting>, [f32; 3])> {
-    let components = s.axis("components", &one_of::<Component>(&choices::<Component>()))?.unwrap_or(vec![Component::Mirror]);
-    if components.contains(&Component::Glossy) {
-        return Err(s
-            .error("components has glossy, which a sweep has no axis for; evaluate --components glossy --brdf measures it")
-            .into());
+/// Looks of each component: axes of their own, those of the light for all.
+struct LookAxes {
+    glossy: Vec<AskedLooks>,
+    refraction: Vec<AskedLooks>,
+    others: Vec<AskedLooks>,
+}
+
+impl LookAxes {
+    fn read(s: &mut Section, components: &[Component], folder: &Path) -> anyhow::Result<Self> {
+        let turn = |v: &Value| number(v).filter(|x| (-360.0..=360.0).contains(x)).map(|x| (x != 0.0).then_some(x));
+        let turns = s.axis("environment_turns_deg", &Expected { text: "-360 to 360", read: &turn })?.unwrap_or(vec![None]);
+        let index = |v: &Value| number(v).filter(|x| (1.0..=4.0).contains(x)).map(Some);
+        let indices = s.axis("refraction_indices", &Expected { text: "1 to 4", read: &index })?;
+        let brdf = s.value("brdf", &Expected { text: "a BRDF's JSON, as --brdf,", read: &text })?.map(|json| with_table_in(&json, folder));
+        let directions = s.axis("directions", &count("1 to 4096", &|v| integer(v, 1, 4096)))?;
+        let orders = s.axis("integration_orders", &one_of::<Order>(&choices::<Order>()))?;
+        let is_glossy = components.contains(&Component::Glossy);
+        if is_glossy != brdf.is_some() {
+            return Err(s.error("brdf and the component glossy go together").into());
+        }
+        for (given, component, key) in [
+            (directions.is_some(), Component::Glossy, "directions"),
+            (orders.is_some(), Component::Glossy, "integration_orders"),
+            (indices.is_some(), Component::Refraction, "refraction_indices"),
+        ] {
+            if given && !components.contains(&component) {
+                return Err(s.error(&format!("{key} is there, but no component of components takes one")).into());
+            }
+        }
+        let others = crossed(&[AskedLooks::default()], &turns, |looks, turn| looks.environment_turn_deg = *turn);
+        let refraction = crossed(&others, &indices.unwrap_or(vec![None]), |looks, index| looks.refraction_index = *index);
+        let mut glossy = crossed(&others, &directions.unwrap_or(vec![0]), |looks, n| looks.directions = *n);
+        let orders: Vec<Option<Order>> = orders.map_or(vec![None], |orders| orders.into_iter().map(Some).collect());
+        glossy = crossed(&glossy, &orders, |looks, order| looks.integration_order = *order);
+        glossy.iter_mut().for_each(|looks| looks.brdf.clone_from(&brdf));
+        Ok(Self { glossy, refraction, others })
     }
+
+    fn of(&self, component: Component) -> &[AskedLooks] {
+        match component {
+            Component::Glossy => &self.glossy,
+            Component::Refraction => &self.refraction,
+            _ => &self.others,
+        }
+    }
+}
+
+/// A table's file is relative to the sweep's folder.
+fn with_table_in(json: &str, folder: &Path) -> String {
+    match table_file(json) {
+        Some(file) => serde_json::json!({"model": "measured", "file": folder.join(file)}).to_string(),
+        None => json.to_string(),
+    }
+}
+
+fn setting_axes(mut s: Section, folder: &Path) -> anyhow::Result<(Vec<Setting>, [f32; 3])> {
+    let components = s.axis("components", &one_of::<Component>(&choices::<Component>()))?.unwrap_or(vec![Component::Mirror]);
+    let looks = LookAxes::read(&mut s, &components, folder)?;
     // What the flag says, without its last word.
     let blend_text = "".parse::<Blend>().err().unwrap_or_default();
     let blend_text = blend_text.trim_end_matches(" expected");
@@ -293,13 +390,15 @@ fn setting_axes(mut s: Section) -> anyhow::Result<(Vec<Setting>, [f32; 3])> {
     let mut all = Vec::new();
     for &filter in &filters {
         for &component in &components {
-            for blend in component.blends(&blends) {
+            let of_component = component.blends(&blends).into_iter().flat_map(|blend| looks.of(component).iter().map(move |l| (blend, l)));
+            for (blend, asked) in of_component {
                 for &backend in &backends {
                     if all.len() > MAX_SETTINGS {
                         return Ok((all, specular));
                     }
                     let name = backend.to_possible_value().map(|v| v.get_name().to_string()).unwrap_or_default();
-                    all.push(Setting { wire: settings(component, blend, specular, filter, backend, Looks::plain()), backend: name });
+                    let wire = asked.settings(component, blend, specular, filter, backend);
+                    all.push(Setting { wire, asked: asked.clone(), backend: name });
                 }
             }
         }

@@ -20,6 +20,7 @@ mod larger_than_memory;
 mod load;
 mod lost_device;
 mod main_flow;
+mod measured;
 mod memory;
 mod moving;
 mod paper_tables;

@@ -24,7 +24,7 @@ fn glossy_of(component: Component, directions: u32, passes: u32) -> wire::Render
     let mut settings = settings(component, Blend::Average);
     if let Some(Representation::OffsetSurfaceLightField(field)) = &mut settings.representation {
         let brdf = r#"{"model": "ward", "diffuse": [0.1, 0.1, 0.1], "specular": [0.5, 0.5, 0.5], "alpha_x": 0.3, "alpha_y": 0.3}"#;
-        field.gloss = Some(Gloss { brdf: brdf.into(), directions, passes });
+        field.gloss = Some(Gloss { brdf: brdf.into(), directions, passes, order: 0 });
     }
     settings
 }

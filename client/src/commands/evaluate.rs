@@ -19,7 +19,7 @@ use crate::cameras::{CameraFlags, Views, parse_vec3};
 use crate::context::Context;
 use crate::files::{Existing, prepare_folder};
 use crate::output::table;
-use crate::render_settings::{Backend, Blend, ClearFlags, Component, Filter, GlossFlags, LightFlags, Looks, settings};
+use crate::render_settings::{Backend, Blend, ClearFlags, Component, Filter, GlossFlags, LightFlags, Looks, settings, with_table};
 
 /// What to evaluate.
 #[derive(Debug, Args)]
@@ -119,17 +119,21 @@ pub enum Command {
 
 impl EvaluateFlags {
     /// The wire's form.
-    pub fn to_wire(&self) -> anyhow::Result<wire::EvaluateSpec> {
+    pub async fn to_wire(&self, context: &Context) -> anyhow::Result<wire::EvaluateSpec> {
         let views = match self.cameras.views()? {
             Views::Orbit(orbit) => wire::evaluate_spec::Views::Orbit(orbit),
             Views::Cameras(cameras) => wire::evaluate_spec::Views::Cameras(camera_list(cameras)),
         };
+        let mut settings = Vec::new();
+        for each in self.settings() {
+            settings.push(with_table(each, context).await?);
+        }
         Ok(wire::EvaluateSpec {
             dataset: self.dataset.clone().unwrap_or_default(),
             version: self.version,
             views: Some(views),
             truth_samples_per_pixel: self.truth_samples_per_pixel,
-            settings: self.settings(),
+            settings,
             truths: self.truths.iter().map(|t| t.to_wire().into()).collect(),
             seed: self.seed,
             max_bounces: self.max_bounces,
@@ -159,7 +163,7 @@ pub async fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<()>
 
 /// Evaluates and prints.
 async fn run_one(arguments: &Arguments, context: &Context) -> anyhow::Result<()> {
-    let spec = arguments.evaluate.to_wire()?;
+    let spec = arguments.evaluate.to_wire(context).await?;
     let existing = Existing::from_force(arguments.force);
     if let Some(out) = &arguments.out {
         prepare_folder(out, [], existing)?;

@@ -24,7 +24,7 @@ use crate::files::{Existing, prepare_folder, safe_name};
 use crate::output::{bytes_text, table};
 use crate::photographs;
 use crate::progress::Meter;
-use crate::render_settings::{Backend, Blend, Component, Filter, Looks, OutputFlags, SettingsFlags, settings};
+use crate::render_settings::{Backend, Blend, Component, Filter, Looks, OutputFlags, SettingsFlags, settings, with_table};
 use crate::scene_source::{self, SceneFlags};
 use crate::views;
 
@@ -371,7 +371,7 @@ pub async fn run(command: Command, context: &Context) -> anyhow::Result<()> {
         Command::Submit(Submit::Capture(arguments)) => submit_capture(context, &arguments).await,
         Command::Submit(Submit::Evaluate(arguments)) => {
             let server = context.connect().await?;
-            let spec = Spec::Evaluate(arguments.evaluate.to_wire()?);
+            let spec = Spec::Evaluate(arguments.evaluate.to_wire(context).await?);
             submit_and_tell(context, &server, spec, &arguments.submit).await
         }
         Command::Submit(Submit::PathRender(arguments)) => submit_path_render(context, &arguments).await,
@@ -551,7 +551,7 @@ async fn submit_path_render(context: &Context, arguments: &PathRenderArguments) 
         dataset: arguments.dataset.clone(),
         version: arguments.version,
         views: Some(views),
-        settings: Some(arguments.settings.to_wire(&kind)),
+        settings: Some(with_table(arguments.settings.to_wire(&kind), context).await?),
         output: Some(arguments.output.to_wire()),
     };
     submit_and_tell(context, &server, Spec::PathRender(spec), &arguments.submit).await

@@ -32,6 +32,8 @@ export interface Settings {
   readonly filter: string;
   readonly brdf: string;
   readonly directions: number;
+  /** Whether sample points are blended direction by direction, or integrated one by one. */
+  readonly integrationOrder: string;
   /** Of a glossy picture at rest: it is the mean of so many. */
   readonly passes: number;
   /** Degrees about +Y by which the light from infinity is turned. */
@@ -92,6 +94,7 @@ export const DEFAULT_SETTINGS: Settings = {
   filter: 'footprint',
   brdf: '{"model": "cook_torrance", "alpha_x": 0.1, "alpha_y": 0.3, "f0": [0.95, 0.64, 0.54]}',
   directions: 64,
+  integrationOrder: 'blend-first',
   passes: 16,
   environmentTurn: 0,
   pointLights: '',
@@ -222,6 +225,17 @@ export const SETTING_FIELDS: readonly Field<Settings>[] = [
     least: 1,
     most: 4096,
     step: 1,
+    applies: reads(showsComponent('glossy')),
+  },
+  {
+    key: 'integrationOrder',
+    label: 'Order',
+    hint: 'Corrected reads are always blended first.',
+    control: 'choice',
+    options: [
+      ['blend-first', 'blend, then integrate'],
+      ['integrate-first', 'integrate, then blend'],
+    ],
     applies: reads(showsComponent('glossy')),
   },
   {

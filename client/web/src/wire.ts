@@ -12,6 +12,7 @@ import {
   OffsetSurfaceLightFieldSettings_Blend as Blend,
   OffsetSurfaceLightFieldSettings_Component as Component,
   OffsetSurfaceLightFieldSettings_Filter as Filter,
+  OffsetSurfaceLightFieldSettings_Gloss_Order as Order,
   OffsetSurfaceLightFieldSettings_Refraction_Body as Body,
   OutputSettingsSchema,
   ParameterMapSettings_Show as Show,
@@ -256,7 +257,12 @@ function renderSettings(kind: Kind, settings: Settings): RenderSettings {
     specularReflectance: { x: settings.specularRed, y: settings.specularGreen, z: settings.specularBlue },
     filter: FILTERS[settings.filter] ?? Filter.FILTER_UNSPECIFIED,
     ...(settings.component === 'glossy' && {
-      gloss: { brdf: settings.brdf, directions: settings.directions, passes: settings.passes },
+      gloss: {
+        brdf: settings.brdf,
+        directions: settings.directions,
+        passes: settings.passes,
+        order: settings.integrationOrder === 'integrate-first' ? Order.INTEGRATE_FIRST : Order.BLEND_FIRST,
+      },
     }),
     ...relighting(settings),
     ...(settings.component === 'refraction' && {

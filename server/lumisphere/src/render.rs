@@ -387,7 +387,7 @@ mod tests {
         let field: Arc<dyn Representation> = Arc::new(field);
         let settings = mirror();
         let outputs = Outputs { depth: false, provenance: false };
-        let request = FrameRequest { camera: &camera, settings: &settings, outputs, refine: Refine::Whole };
+        let request = FrameRequest { camera: &camera, settings: &settings, outputs, refine: Refine::Whole, table: None };
         let refused = || renderer.gpu.as_ref().map_or(0, |side| side.tier().refused());
         for _ in 0..3 {
             let frame = renderer.render(&field, &pages, &request, Some(Backend::Gpu)).unwrap();
@@ -410,7 +410,7 @@ mod tests {
         let field: Arc<dyn Representation> = Arc::new(field);
         let settings = mirror();
         let outputs = Outputs { depth: false, provenance: false };
-        let request = FrameRequest { camera: &camera, settings: &settings, outputs, refine: Refine::Whole };
+        let request = FrameRequest { camera: &camera, settings: &settings, outputs, refine: Refine::Whole, table: None };
         let frame = || renderer.render(&field, &pages, &request, None).unwrap();
         let before = frame();
         assert_eq!(before.stats.backend, Backend::Gpu);
@@ -434,7 +434,7 @@ mod tests {
         let camera = WORLD.camera(3.0 * glam::Vec3::Z, glam::Vec3::ZERO, 16, 12);
         let outputs = Outputs { depth: false, provenance: false };
         let refused = |dataset: Arc<dyn Representation>, pages: &dyn PageSource, settings: &Settings| {
-            let request = FrameRequest { camera: &camera, settings, outputs, refine: Refine::Whole };
+            let request = FrameRequest { camera: &camera, settings, outputs, refine: Refine::Whole, table: None };
             Renderer::cpu_only().render(&dataset, pages, &request, Some(Backend::Cpu)).unwrap_err().to_string()
         };
         let expected = |kind: &str| format!("settings are of a {kind}, the dataset is of another kind");

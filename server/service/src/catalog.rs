@@ -19,6 +19,7 @@ use uploads::Uploads;
 pub use uploads::{Progress, UploadLimits};
 
 use crate::errors::{ApiError, Reason};
+use crate::tables::Tables;
 use crate::wire::cache::CacheChange;
 use crate::wire::datasets::{ORIGIN, Origin, manifest_bytes};
 
@@ -30,6 +31,7 @@ pub struct Catalog {
     store: Store,
     cache: Arc<Cache>,
     uploads: Uploads,
+    tables: Arc<Tables>,
     opened: Mutex<VecDeque<Arc<OpenedVersion>>>,
     /// Counters at the last reset.
     baseline: Mutex<CacheSnapshot>,
@@ -48,6 +50,8 @@ pub struct OpenedVersion {
     pub pages: CachedPages,
     /// Where it came from, if it was captured here.
     pub origin: Option<Origin>,
+    /// Measured BRDFs that it may be shown with.
+    pub tables: Arc<Tables>,
 }
 
 /// A dataset and its versions; those whose manifest is damaged have none.
@@ -66,6 +70,7 @@ impl Catalog {
         let cache = Cache::new(cache);
         Ok(Self {
             uploads: Uploads::new(store.clone(), limits),
+            tables: Arc::new(Tables::new(store.clone())),
             store,
             baseline: Mutex::new(cache.snapshot()),
             cache: Arc::new(cache),
@@ -77,6 +82,11 @@ impl Catalog {
     /// For jobs, which write.
     pub fn store(&self) -> &Store {
         &self.store
+    }
+
+    /// Measured BRDFs among the blobs.
+    pub fn tables(&self) -> &Tables {
+        &self.tables
     }
 
     /// Chunks in.
@@ -198,6 +208,7 @@ impl Catalog {
             version: manifest.version,
             representation,
             origin: origin_of(&stored),
+            tables: self.tables.clone(),
             pages: CachedPages { cache: self.cache.clone(), version: stored },
         })
     }

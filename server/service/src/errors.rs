@@ -177,6 +177,7 @@ impl From<RenderError> for ApiError {
             RenderError::Store(error) => error.into(),
             RenderError::PageShape { .. } => Self::new(Reason::DataCorrupt, error.to_string()),
             RenderError::OtherKind { .. } | RenderError::NoSkyShares => Self::new(Reason::DatasetKindMismatch, error.to_string()),
+            RenderError::NoTable { .. } => Self::internal(error),
             RenderError::NoGpu => Self::field("settings.backend", error),
             RenderError::TooManyDirections { .. } => Self::field("settings.offset_surface_light_field.gloss.directions", error),
             RenderError::DependsOnPages => Self::field("settings.offset_surface_light_field.blend", error),

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use bytes::Bytes;
 use lumisphere::geometry::Camera;
 use lumisphere::images::{ExrStorage, Image, ImageError, Rgb8, ToneMap, encode_exr_rgb, encode_jpeg, encode_png, tone_mapped_pixels};
-use lumisphere::render::{Backend, Frame, FrameRequest, Outputs, Refine, RenderError, Renderer};
+use lumisphere::render::{Backend, Frame, FrameRequest, Outputs, Refine, Renderer};
 use lumisphere::textures::{Page, PageId};
 use tokio::sync::OwnedSemaphorePermit;
 
@@ -155,7 +155,9 @@ impl Frames {
         let work = move |renderer: &mut Renderer| {
             let outputs = Outputs { depth: false, provenance: false };
             let (camera, settings) = (&expected.camera, &expected.settings.settings);
-            let request = FrameRequest { camera, settings, outputs, refine: Refine::Whole };
+            // Without a table that cannot be read nothing is seen; the frame will tell.
+            let table = expected.version.tables.of(settings).ok().flatten();
+            let request = FrameRequest { camera, settings, outputs, refine: Refine::Whole, table: table.as_ref() };
             renderer.look_ahead(&expected.version.representation, &request, upload_bytes)
         };
         Ok(self.queue.run_idle(Idle::Ahead, work).await.map_err(|e| self.refused(e))??)
@@ -363,7 +365,7 @@ impl Painter {
 /// One pass of what is ordered; on the painter's thread.
 fn draw(brush: Brush<'_>, gpu: &Mutex<Option<GpuTier>>, order: &FrameOrder, pass: u32) -> Result<Drawn, ApiError> {
     match (brush, order.settings.ground_truth) {
-        (Brush::Renderer(renderer), None) => Ok(render(renderer, gpu, order, pass)?),
+        (Brush::Renderer(renderer), None) => render(renderer, gpu, order, pass),
         (Brush::Tracers(tracers, abandoned), Some(truth)) => {
             let frame = tracers.trace(order, truth, pass, abandoned)?;
             Ok(Drawn { frame, adapter: None, cache: proto::FrameCacheUse::default() })
@@ -373,11 +375,12 @@ fn draw(brush: Brush<'_>, gpu: &Mutex<Option<GpuTier>>, order: &FrameOrder, pass
 }
 
 /// Renders it.
-fn render(renderer: &Renderer, gpu: &Mutex<Option<GpuTier>>, order: &FrameOrder, pass: u32) -> Result<Drawn, RenderError> {
+fn render(renderer: &Renderer, gpu: &Mutex<Option<GpuTier>>, order: &FrameOrder, pass: u32) -> Result<Drawn, ApiError> {
     let outputs = Outputs { depth: order.output.depth.is_some(), provenance: order.output.provenance };
     let settings = order.settings.settings;
     let settings = settings.of_pass(pass).unwrap_or(settings);
-    let request = FrameRequest { camera: &order.camera, settings: &settings, outputs, refine: order.refine };
+    let table = order.version.tables.of(&settings)?;
+    let request = FrameRequest { camera: &order.camera, settings: &settings, outputs, refine: order.refine, table: table.as_ref() };
     let backend = match order.settings.backend {
         BackendChoice::Auto => None,
         BackendChoice::Gpu => Some(Backend::Gpu),

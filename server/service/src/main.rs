@@ -20,6 +20,7 @@ mod serve;
 mod sessions;
 mod shutdown;
 mod still;
+mod tables;
 mod telemetry;
 #[cfg(feature = "h264")]
 mod video;

@@ -20,6 +20,7 @@ use crate::exit::Failure;
 use crate::files::{Existing, prepare_folder, safe_name, write_atomically};
 use crate::output::table;
 use crate::progress::Meter;
+use crate::render_settings::with_table;
 use crate::sweep_file::SweepFile;
 
 const FILES: [&str; 5] = ["sweep.json", "sweep.csv", "chart.svg", "chart.png", "report.html"];
@@ -114,12 +115,16 @@ async fn evaluated(
         Views::Orbit(orbit) => wire::evaluate_spec::Views::Orbit(orbit),
         Views::Cameras(cameras) => wire::evaluate_spec::Views::Cameras(camera_list(cameras)),
     };
+    let mut settings = Vec::with_capacity(file.settings.len());
+    for setting in &file.settings {
+        settings.push(with_table(setting.wire.clone(), context).await?);
+    }
     let spec = Spec::Evaluate(wire::EvaluateSpec {
         dataset: dataset.name.clone(),
         version: dataset.version,
         views: Some(views),
         truth_samples_per_pixel: file.truth_samples_per_pixel,
-        settings: file.settings.iter().map(|s| s.wire.clone()).collect(),
+        settings,
         truths: file.truths.iter().map(|t| t.to_wire().into()).collect(),
         seed: file.truth_seed,
         max_bounces: file.truth_max_bounces,
@@ -163,6 +168,7 @@ fn sweep_rows(summary: &Value, dataset: &Dataset, file: &SweepFile) -> anyhow::R
             "parameters": parameters,
             "dataset_bytes": summary["dataset_bytes"],
             "asked_backend": setting.backend,
+            "asked_looks": setting.asked,
         });
         row.extend(common.as_object().cloned().unwrap_or_default());
         Ok(serde_json::from_value(Value::Object(row))?)

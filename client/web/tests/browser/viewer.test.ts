@@ -11,6 +11,8 @@ import {
   Encoding,
   OffsetSurfaceLightFieldSettings_Blend as Blend,
   OffsetSurfaceLightFieldSettings_Component as Component,
+  OffsetSurfaceLightFieldSettings_Gloss_Order as Order,
+  OffsetSurfaceLightFieldSettings_Refraction_Body as Body,
 } from '../../src/generated/lumisphere/v1alpha1/rendering_pb';
 import { apart } from './colours';
 import { startBrowser, VIEWPORT, ViewerPage } from './page';
@@ -387,6 +389,63 @@ describe('a picture of several passes', () => {
     await viewer.screenshot('refined');
     expect(viewer.complaints).toEqual([]);
     await viewer.close();
+  });
+});
+
+describe('light and matter', () => {
+  const address = '#d=patchwork&component=full&blend=average&encoding=png&directions=8&passes=1';
+  let viewer: ViewerPage;
+
+  beforeAll(async () => {
+    viewer = await ViewerPage.open(browser, `${server.url}/${address}`, { viewport: LOW });
+    await viewer.isStill();
+  });
+
+  afterAll(async () => {
+    expect(viewer.complaints).toEqual([]);
+    await viewer.close();
+  });
+
+  const asked = () => {
+    const { representation } = viewer.asked(0).settings;
+    if (representation.case !== 'offsetSurfaceLightField') throw new Error('settings of another kind');
+    return representation.value;
+  };
+  const fill = (name: string, value: string) => async () => {
+    await viewer.field(name).fill(value);
+    await viewer.field(name).blur();
+  };
+
+  test('the environment is turned and lamps are added, as RenderFrame shows it', async () => {
+    const before = await viewer.picture();
+    await viewer.becomesStillAfter(fill('Environment turned, °', '90'));
+    expect(asked().relighting?.environmentTurnDeg).toBe(90);
+    await seen(viewer, 'patchwork');
+    await viewer.becomesStillAfter(fill('Point lights', '2,3,2:40,20,5 -2,3,2:5,20,40'));
+    expect(asked().relighting?.pointLights.map((light) => light.intensity?.x)).toEqual([40, 5]);
+    await seen(viewer, 'patchwork');
+    expect(await viewer.differingPixels(before)).toBeGreaterThan(1000);
+    await viewer.screenshot('relit');
+  });
+
+  test('a clear body has its index and is solid or a shell', async () => {
+    await viewer.becomesStillAfter(() => viewer.field('Component').selectOption('refraction'));
+    await seen(viewer, 'patchwork');
+    await viewer.becomesStillAfter(() => viewer.field('Body').selectOption('thin'));
+    await viewer.becomesStillAfter(fill('Index of refraction', '2.5'));
+    expect([asked().refraction?.index, asked().refraction?.body]).toEqual([2.5, Body.THIN]);
+    await seen(viewer, 'patchwork');
+  });
+
+  test('a glossy object is integrated in either order', async () => {
+    await viewer.becomesStillAfter(() => viewer.field('Component').selectOption('glossy'));
+    await seen(viewer, 'patchwork');
+    expect(asked().gloss?.order).toBe(Order.BLEND_FIRST);
+    const blended = await viewer.picture();
+    await viewer.becomesStillAfter(() => viewer.field('Order').selectOption('integrate-first'));
+    expect(asked().gloss?.order).toBe(Order.INTEGRATE_FIRST);
+    await seen(viewer, 'patchwork');
+    expect(await viewer.differingPixels(blended)).toBeGreaterThan(100);
   });
 });
 

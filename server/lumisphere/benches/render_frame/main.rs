@@ -244,7 +244,7 @@ impl PageSource for SlowPages {
 }
 
 fn request<'a>(camera: &'a Camera, settings: &'a Settings, refine: Refine) -> FrameRequest<'a> {
-    FrameRequest { camera, settings, outputs: Outputs { depth: false, provenance: false }, refine }
+    FrameRequest { camera, settings, outputs: Outputs { depth: false, provenance: false }, refine, table: None }
 }
 
 fn backends(has_gpu: bool) -> Vec<Backend> {

@@ -154,13 +154,14 @@ fn measured(scene: &Scene, stored: &Stored) -> Errors {
         mirror_truths: vec![Truth::OneReflection],
         trace: TraceSettings { samples_per_pixel: 64, max_bounces: 1, seed: 9 },
         timed_frames: 1,
+        tables: Default::default(),
     };
     let renderer = Renderer::cpu_only();
     let pages = MemoryPages(stored.pages.clone());
     let field: Arc<dyn Representation> = stored.field.clone();
     let mut render = |camera: &Camera, setting: usize| -> Result<Rendered, RenderError> {
         let outputs = Outputs { depth: false, provenance: false };
-        let request = FrameRequest { camera, settings: &settings[setting], outputs, refine: Refine::Whole };
+        let request = FrameRequest { camera, settings: &settings[setting], outputs, refine: Refine::Whole, table: None };
         let frame = renderer.render(&field, &pages, &request, None)?;
         let mut color = Image::zeros(frame.width_px as usize, frame.height_px as usize, 3);
         frame.pixels.color.as_chunks().0.iter().enumerate().for_each(|(i, rgb)| color.set_rgb(i, *rgb));

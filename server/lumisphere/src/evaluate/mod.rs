@@ -13,22 +13,29 @@ pub mod pareto;
 mod relighting_tests;
 mod report;
 mod row;
+#[cfg(test)]
+mod stability_tests;
 mod sweep;
 mod thin;
 mod truth;
 mod truth_passes;
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use thiserror::Error;
 
 use crate::geometry::Camera;
 use crate::images::{CompareError, CompareOptions, Image, absolute_error_image, compare};
 use crate::progress::{Cancelled, Progress};
-use crate::radiometry::brdf::BrdfModel;
+use crate::radiometry::brdf::{BrdfModel, Measured};
 use crate::radiometry::dielectric::Dielectric;
 use crate::raytrace::{TraceError, TraceSettings};
 use crate::render::Backend;
+use crate::representations::offset_surface_light_field::GlossBrdf;
 use crate::representations::{Kind, Settings};
 use crate::scenes::{Relighting, Scene};
+use crate::textures::ContentHash;
 use row::Total;
 
 pub use chart::{chart, on_front};
@@ -57,6 +64,15 @@ pub struct Plan {
     pub trace: TraceSettings,
     /// Frames of each setting at each camera whose time counts; at least 1.
     pub timed_frames: u32,
+    /// Of the settings' measured BRDFs.
+    pub tables: BTreeMap<ContentHash, Arc<Measured>>,
+}
+
+impl Plan {
+    fn model<E: std::error::Error>(&self, brdf: GlossBrdf) -> Result<BrdfModel, EvaluateError<E>> {
+        let table = brdf.table().and_then(|hash| self.tables.get(&hash));
+        brdf.model(table).ok_or_else(|| EvaluateError::Plan(format!("{brdf:?} without its table")))
+    }
 }
 
 /// A rendered frame, as far as the evaluation needs it.
@@ -154,7 +170,8 @@ pub fn evaluate<E: std::error::Error>(
             let truths = as_captured.relit(scene, light);
             let lit: Vec<&Settings> = plan.settings.iter().filter(|s| s.light() == *light).collect();
             let wanted: Vec<Truth> = lit.iter().flat_map(|s| truths_of(s, plan)).collect();
-            let brdfs: Vec<BrdfModel> = lit.iter().filter_map(|s| s.brdf()).map(BrdfModel::from).collect();
+            let brdfs = lit.iter().filter_map(|s| s.brdf()).map(|brdf| Ok((brdf, plan.model(brdf)?)));
+            let brdfs: Vec<(GlossBrdf, BrdfModel)> = brdfs.collect::<Result<_, EvaluateError<E>>>()?;
             let mut view = truths.view(camera, &wanted, &plan.trace, progress)?;
             truths.add_glossy(&mut view, camera, &brdfs, &plan.trace, progress)?;
             let bodies: Vec<Dielectric> = lit.iter().filter_map(|s| s.dielectric()).collect();

@@ -50,29 +50,30 @@ fn sky() -> Image {
     image
 }
 
-struct Stored {
-    field: Arc<dyn Representation>,
-    pages: MemoryPages,
+pub(super) struct Stored {
+    pub field: Arc<dyn Representation>,
+    pub pages: MemoryPages,
 }
 
 fn fixture() -> &'static (Scene, Stored) {
     static FIXTURE: OnceLock<(Scene, Stored)> = OnceLock::new();
     FIXTURE.get_or_init(|| {
         let scene = scene();
-        let stored = captured(&scene);
+        let stored = captured(&scene, "ball", 200, None);
         (scene, stored)
     })
 }
 
-fn captured(scene: &Scene) -> Stored {
+/// Of 32² faces, in memory.
+pub(super) fn captured(scene: &Scene, object: &str, points: u32, epsilon: Option<f32>) -> Stored {
     let root = tempfile::tempdir().unwrap();
     let (store, _) = Store::open(root.path(), StoreOptions::local()).unwrap();
     store.create_dataset("ball").unwrap();
     let staging = store.stage("ball", "test").unwrap();
     let settings = ConstructSettings {
-        object: "ball".into(),
-        epsilon: None,
-        spacing: Spacing::Count(200),
+        object: object.into(),
+        epsilon,
+        spacing: Spacing::Count(points),
         face_size_texels: 32,
         sample_map_size_texels: 64,
         pixel_format: PixelFormat::F16,
@@ -110,11 +111,12 @@ fn errors(of: oslf::Settings, frames: &[oslf::Settings]) -> Vec<f64> {
         mirror_truths: vec![Truth::OneReflection],
         trace: TraceSettings { samples_per_pixel: 256, max_bounces: 3, seed: 9 },
         timed_frames: 1,
+        tables: Default::default(),
     };
     let mut render = |camera: &Camera, setting: usize| -> Result<Rendered, RenderError> {
         let outputs = Outputs { depth: false, provenance: false };
         let settings = Settings::OffsetSurfaceLightField(frames[setting]);
-        let request = FrameRequest { camera, settings: &settings, outputs, refine: Refine::Whole };
+        let request = FrameRequest { camera, settings: &settings, outputs, refine: Refine::Whole, table: None };
         let frame = renderer.render(&stored.field, &stored.pages, &request, None)?;
         let mut color = Image::zeros(frame.width_px as usize, frame.height_px as usize, 3);
         frame.pixels.color.as_chunks().0.iter().enumerate().for_each(|(i, rgb)| color.set_rgb(i, *rgb));
@@ -140,7 +142,7 @@ fn lamps() -> Relighting {
 
 fn gloss() -> Component {
     let brdf = AshikhminShirley::new(Vec3::new(0.3, 0.2, 0.1), Vec3::splat(0.4), Vec2::splat(30.0)).unwrap();
-    Component::Glossy(Gloss { brdf: AnalyticBrdf::AshikhminShirley(brdf), directions: 128, pass: 0 })
+    Component::Glossy(Gloss::of(AnalyticBrdf::AshikhminShirley(brdf), 128))
 }
 
 /// `[with the feature, as captured]`.

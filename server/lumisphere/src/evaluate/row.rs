@@ -163,8 +163,16 @@ mod tests {
         }
     }
 
-    const NAME: SettingName =
-        SettingName { component: "mirror", blend: Some("normal"), exponent: Some(4.0), filter: "footprint", light: None };
+    const NAME: SettingName = SettingName {
+        component: "mirror",
+        blend: Some("normal"),
+        exponent: Some(4.0),
+        filter: "footprint",
+        light: None,
+        directions: None,
+        body: None,
+        order: None,
+    };
 
     #[test]
     fn times_are_the_median_and_the_95th_percentile_of_all_views() {

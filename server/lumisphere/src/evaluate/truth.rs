@@ -12,6 +12,7 @@ use crate::radiometry::brdf::BrdfModel;
 use crate::radiometry::dielectric::Dielectric;
 use crate::raytrace::{Appearance, TraceError, TraceSettings, Tracer};
 use crate::representations::Settings;
+use crate::representations::offset_surface_light_field::GlossBrdf;
 use crate::scenes::{Relighting, Scene};
 
 /// What is true.
@@ -69,7 +70,7 @@ pub struct TruthRenderer {
 /// The truths of one view.
 pub struct ViewTruth {
     images: BTreeMap<Truth, Image>,
-    glossy: Vec<(BrdfModel, Image)>,
+    glossy: Vec<(GlossBrdf, Image)>,
     clear: Vec<(Dielectric, Image)>,
     /// Pixels that count: one fold of the object's front fills them and their eight neighbours.
     pub mask: Vec<bool>,
@@ -116,15 +117,15 @@ impl TruthRenderer {
         &self,
         view: &mut ViewTruth,
         camera: &Camera,
-        brdfs: &[BrdfModel],
+        brdfs: &[(GlossBrdf, BrdfModel)],
         trace: &TraceSettings,
         progress: &dyn Progress,
     ) -> Result<(), Cancelled> {
-        for brdf in brdfs {
-            if view.glossy(brdf).is_none() {
+        for (named, brdf) in brdfs {
+            if view.glossy(*named).is_none() {
                 let tracer = self.tracer.with_appearance(self.object, Appearance::OneGlossy { brdf: brdf.clone() });
                 let image = trace_object(&tracer, &view.object, &view.images[&Truth::Diffuse], camera, trace, progress)?;
-                view.glossy.push((brdf.clone(), image));
+                view.glossy.push((*named, image));
             }
         }
         Ok(())
@@ -170,8 +171,8 @@ fn trace_object(
 
 impl ViewTruth {
     /// What a frame should look like whose object reflects by `brdf`; around the object always the diffuse scene. None unless it was added.
-    pub fn glossy(&self, brdf: &BrdfModel) -> Option<&Image> {
-        self.glossy.iter().find(|(known, _)| known == brdf).map(|(_, image)| image)
+    pub fn glossy(&self, brdf: GlossBrdf) -> Option<&Image> {
+        self.glossy.iter().find(|(known, _)| *known == brdf).map(|(_, image)| image)
     }
 
     /// What a frame should look like whose object is a clear body. None unless it was added.
@@ -182,7 +183,7 @@ impl ViewTruth {
     /// What a frame with `settings` should look like: as the BRDF says where there is one (that was added), else the diffuse part, the reflected part times C_s, or their sum on the object;
     /// around the object always the diffuse scene. `truth` was among those wanted.
     pub fn reference(&self, settings: &Settings, truth: Truth) -> Image {
-        if let Some(glossy) = settings.brdf().and_then(|brdf| self.glossy(&brdf.into())) {
+        if let Some(glossy) = settings.brdf().and_then(|brdf| self.glossy(brdf)) {
             return glossy.clone();
         }
         if let Some(clear) = settings.dielectric().and_then(|dielectric| self.clear(&dielectric)) {
@@ -232,7 +233,7 @@ pub(super) mod tests {
 
     use super::*;
     use crate::progress::Unattended;
-    use crate::radiometry::brdf::{CookTorrance, Lambert};
+    use crate::radiometry::brdf::{AnalyticBrdf, CookTorrance, Lambert};
     use crate::scenes::{LoadOptions, SceneBundle, load};
 
     /// A ball over a black floor, in uneven light.
@@ -264,19 +265,20 @@ pub(super) mod tests {
         let renderer = TruthRenderer::new(&scene, scene.object("ball").unwrap()).unwrap();
         let trace = TraceSettings { samples_per_pixel: 64, max_bounces: 2, seed: 3 };
         let mut view = renderer.view(&camera, &[Truth::OneReflection], &trace, &Unattended).unwrap();
-        let lambert: BrdfModel = Lambert::new(Vec3::new(0.6, 0.4, 0.2)).unwrap().into();
-        let smooth: BrdfModel = CookTorrance::new(Vec2::splat(1e-4), Vec3::ONE, Vec3::ONE).unwrap().into();
-        renderer.add_glossy(&mut view, &camera, &[lambert.clone(), smooth.clone(), lambert.clone()], &trace, &Unattended).unwrap();
+        let lambert: AnalyticBrdf = Lambert::new(Vec3::new(0.6, 0.4, 0.2)).unwrap().into();
+        let smooth: AnalyticBrdf = CookTorrance::new(Vec2::splat(1e-4), Vec3::ONE, Vec3::ONE).unwrap().into();
+        let brdfs = [lambert, smooth, lambert].map(|brdf| (brdf.into(), brdf.into()));
+        renderer.add_glossy(&mut view, &camera, &brdfs, &trace, &Unattended).unwrap();
         assert_eq!(view.glossy.len(), 2);
         for (brdf, truth) in [(lambert, Truth::Diffuse), (smooth, Truth::OneReflection)] {
-            let (glossy, expected) = (view.glossy(&brdf).unwrap(), &view.images[&truth]);
+            let (glossy, expected) = (view.glossy(brdf.into()).unwrap(), &view.images[&truth]);
             // 200 pixels of 64 paths: 1 % of the mean in noise.
             let ratio = mean(glossy, &view.mask) / mean(expected, &view.mask);
             assert!((ratio - 1.0).abs().max_element() < 0.03, "{truth:?}: {ratio}");
             let around = (0..view.object.len()).filter(|i| !view.object[*i]);
             around.for_each(|i| assert_eq!(glossy.rgb(i), expected.rgb(i)));
         }
-        assert!(view.glossy(&Lambert::new(Vec3::ONE).unwrap().into()).is_none());
+        assert!(view.glossy(AnalyticBrdf::from(Lambert::new(Vec3::ONE).unwrap()).into()).is_none());
     }
 
     #[test]

@@ -4,11 +4,14 @@
 //!
 //! Unlike a rendered frame, which sees one point a pixel, a truth is the mean over the pixel's square, at silhouettes too.
 
+use std::sync::Arc;
+
 use glam::Vec3;
 use thiserror::Error;
 
 use crate::geometry::Camera;
 use crate::progress::{Cancelled, Progress};
+use crate::radiometry::brdf::Measured;
 use crate::raytrace::{Appearance, Seen, TraceError, TraceSettings, Tracer};
 use crate::representations::{Kind, Outputs, Pixels, Provenance, Settings};
 use crate::scenes::{Environment, Relighting, Scene};
@@ -47,6 +50,8 @@ pub struct TruthPass<'a> {
     pub paths_per_pixel: u32,
     /// What comes beside colour.
     pub outputs: Outputs,
+    /// Of the settings' BRDF, where that is a measured one.
+    pub table: Option<&'a Arc<Measured>>,
 }
 
 /// Why there is no truth.
@@ -66,6 +71,9 @@ pub enum TruthError {
         /// Of each pixel.
         paths: u32,
     },
+    /// Settings that name a measured BRDF, without it.
+    #[error("the measured BRDF did not come with the settings")]
+    NoTable,
     /// Nobody waits for it any more.
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
@@ -115,7 +123,7 @@ impl TruthPasses {
             tracer.with_appearance(object, appearance).seen(first, wanted, camera, &settings, progress)
         };
         let everywhere = |_, _| true;
-        let (over, join): (_, fn(&mut Seen, &Seen)) = match parts(pass.settings) {
+        let (over, join): (_, fn(&mut Seen, &Seen)) = match parts(pass)? {
             Parts::Whole(appearance) => return Ok(self::pixels(&seen(appearance, &everywhere)?, pass.outputs)),
             Parts::Object(appearance) => (appearance, |below, over| below.radiance = over.radiance),
             Parts::Added(appearance) => (appearance, |below, over| below.radiance += over.radiance),
@@ -130,19 +138,20 @@ impl TruthPasses {
 }
 
 /// As `ViewTruth::reference` puts it together, mirrors being those of one reflection.
-fn parts(settings: &Settings) -> Parts {
+fn parts(pass: &TruthPass<'_>) -> Result<Parts, TruthError> {
+    let settings = pass.settings;
     if settings.kind() == Kind::ParameterMap {
-        return Parts::Object(Appearance::AsAuthored);
+        return Ok(Parts::Object(Appearance::AsAuthored));
     }
     if let Some(dielectric) = settings.dielectric() {
-        return Parts::Whole(Appearance::OneRefraction { dielectric });
+        return Ok(Parts::Whole(Appearance::OneRefraction { dielectric }));
     }
-    match (settings.brdf(), settings.reflection()) {
-        (Some(brdf), _) => Parts::Whole(Appearance::OneGlossy { brdf: brdf.into() }),
+    Ok(match (settings.brdf(), settings.reflection()) {
+        (Some(brdf), _) => Parts::Whole(Appearance::OneGlossy { brdf: brdf.model(pass.table).ok_or(TruthError::NoTable)? }),
         (None, None) => Parts::Whole(Appearance::Diffuse),
         (None, Some((reflectance, false))) => Parts::Whole(Appearance::OneMirror { reflectance }),
         (None, Some((reflectance, true))) => Parts::Added(Appearance::OneMirror { reflectance }),
-    }
+    })
 }
 
 /// Nothing of it is read from samples: every pixel is as the background of a light field.
@@ -183,7 +192,7 @@ mod tests {
     }
 
     fn pass<'a>(settings: &'a Settings, pass: u32, paths_per_pixel: u32) -> TruthPass<'a> {
-        TruthPass { object: "ball", max_bounces: BOUNCES, settings, pass, paths_per_pixel, outputs: COLOR_ALONE }
+        TruthPass { object: "ball", max_bounces: BOUNCES, settings, pass, paths_per_pixel, outputs: COLOR_ALONE, table: None }
     }
 
     fn mean_of(passes: &mut TruthPasses, settings: &Settings, camera: &Camera, count: u32, paths: u32) -> Pixels {
@@ -212,14 +221,14 @@ mod tests {
         let (scene, camera) = ball();
         let mut passes = TruthPasses::new(&scene).unwrap();
         let brdf = AnalyticBrdf::from(CookTorrance::new(glam::Vec2::splat(0.3), Vec3::ONE, Vec3::ONE).unwrap());
-        let glossy = oslf::Component::Glossy(oslf::Gloss { brdf, directions: 1, pass: 0 });
+        let glossy = oslf::Component::Glossy(oslf::Gloss::of(brdf, 1));
         let of_map = Settings::ParameterMap(parameter_map::Settings::default());
         let fields = [oslf::Component::Reconstruction, oslf::Component::Mirror, oslf::Component::Full, glossy].map(of_light_field);
         // Another seed than the passes': what is compared shares no path.
         let trace = TraceSettings { samples_per_pixel: 256, max_bounces: BOUNCES, seed: 3 };
         let renderer = TruthRenderer::new(&scene, scene.object("ball").unwrap()).unwrap();
         let mut view = renderer.view(&camera, &[Truth::OneReflection, Truth::AsAuthored], &trace, &Unattended).unwrap();
-        renderer.add_glossy(&mut view, &camera, &[brdf.into()], &trace, &Unattended).unwrap();
+        renderer.add_glossy(&mut view, &camera, &[(brdf.into(), brdf.into())], &trace, &Unattended).unwrap();
         let mut means: Vec<Vec3> = Vec::new();
         for settings in fields.iter().chain([&of_map]) {
             let truth = if settings.kind() == Kind::ParameterMap { Truth::AsAuthored } else { Truth::OneReflection };

@@ -40,6 +40,9 @@ pub enum MerlError {
 
 const HEAD_BYTES: usize = 12;
 
+/// Of every file.
+pub const FILE_BYTES: u64 = (HEAD_BYTES + 3 * 8 * MEASURED_SHAPE[0] * MEASURED_SHAPE[1] * MEASURED_SHAPE[2]) as u64;
+
 /// What the authors' reader multiplies each plane with.
 const SCALE: [f64; 3] = [1.0 / 1500.0, 1.15 / 1500.0, 1.66 / 1500.0];
 

@@ -24,9 +24,6 @@ pub(crate) const ATLAS_TEXTURES: usize = 4;
 /// Marks a page that is not resident.
 pub(crate) const NOT_RESIDENT: u32 = u32::MAX;
 
-// lavapipe refuses textures above 1 GiB; other devices have no such limit, but larger ones gain nothing.
-const MAX_TEXTURE_BYTES: u64 = 1 << 30;
-
 /// Some of a page's rows, to be brought.
 pub(crate) struct Upload {
     /// Which page.
@@ -60,32 +57,20 @@ pub(crate) struct Atlas {
 impl Atlas {
     /// As many slots as there are pages, or as fit into `budget_bytes` beside the upload ring and the indirection.
     pub fn new(gpu: &Gpu, shape: AtlasShape, budget_bytes: u64, policy: PolicyKind) -> Result<Self, GpuError> {
-        let (beside, least) = (shape.bytes_beside(), (1 + shape.pinned_slots as u64) * shape.page_bytes());
-        let one_page = GpuError::OverBudget { what: "one page", needed_bytes: beside + least, budget_bytes };
-        let budget_bytes = budget_bytes.checked_sub(beside + least).ok_or(one_page.clone())? + least;
-        let slots_per_edge = shape.slots_per_edge(gpu, budget_bytes);
+        let layout = shape.layout(gpu, budget_bytes).ok_or(GpuError::OverBudget {
+            what: "one page",
+            needed_bytes: shape.least_bytes(),
+            budget_bytes,
+        })?;
+        let (slots_per_edge, layers, slots) = (layout.slots_per_edge, layout.layers, layout.slots);
         let edge = slots_per_edge * shape.page_size;
-        let layer_bytes = shape.bytes_of_levels(edge);
-        let wanted = (shape.page_count + shape.pinned_slots).div_ceil((slots_per_edge as usize).pow(2).max(1)) as u64;
-        let affordable = budget_bytes / layer_bytes;
-        let most = (MAX_TEXTURE_BYTES / layer_bytes).min(u64::from(gpu.device().limits().max_texture_array_layers)).min(1 << 13);
-        let mut left = wanted.min(affordable).min(most * ATLAS_TEXTURES as u64);
-        let mut layers = Vec::new();
-        while left > 0 {
-            layers.push(left.min(most) as u32);
-            left -= left.min(most);
-        }
         let textures: Vec<_> = layers.iter().map(|layers| array_texture(gpu, shape.format(), edge, *layers, shape.levels)).collect();
         let mut views: Vec<_> = textures.iter().map(array_view).collect();
         // Unused bindings want a texture all the same.
         views.resize_with(ATLAS_TEXTURES, || array_view(&array_texture(gpu, shape.format(), 1, 1, 1)));
-        let slots = layers.iter().sum::<u32>() as usize * (slots_per_edge as usize).pow(2);
-        if slots <= shape.pinned_slots {
-            return Err(one_page);
-        }
         let mut words = vec![NOT_RESIDENT; shape.words()];
         words[shape.page_count..2 * shape.page_count].fill(0);
-        let bytes = layers.iter().map(|l| u64::from(*l)).sum::<u64>() * layer_bytes + beside;
+        let bytes = layers.iter().map(|l| u64::from(*l)).sum::<u64>() * shape.bytes_of_levels(edge) + shape.bytes_beside();
         gpu.check()?;
         let mut atlas = Self {
             slot_of_page: vec![NOT_RESIDENT; shape.page_count],

@@ -65,6 +65,11 @@ impl Dielectric {
         (1.0..=MOST_INDEX).contains(&index).then_some(Self { index, body })
     }
 
+    /// `solid-1.5`, in reports.
+    pub fn name(self) -> String {
+        format!("{}-{}", self.body.name(), self.index)
+    }
+
     /// Relative to the air outside.
     pub fn index(&self) -> f32 {
         self.index

@@ -21,12 +21,12 @@ use thiserror::Error;
 use crate::geometry::Camera;
 #[cfg(feature = "gpu")]
 use crate::gpu::{Gpu, GpuCacheStats, GpuError};
-use crate::radiometry::brdf::AnalyticBrdf;
+use crate::radiometry::brdf::Measured;
 use crate::radiometry::dielectric::Dielectric;
 use crate::scenes::Relighting;
+use crate::textures::{ContentHash, PageId, StoreError};
 #[cfg(feature = "gpu")]
 use crate::textures::{Page, PolicyKind};
-use crate::textures::{PageId, StoreError};
 use offset_surface_light_field as oslf;
 
 #[cfg(test)]
@@ -83,14 +83,23 @@ pub struct SettingName {
     /// `turned-90-1-lights`; None in the light that was captured.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub light: Option<String>,
+    /// Directions of each pixel, where it is the mean over some.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub directions: Option<u32>,
+    /// `solid-1.5`, where a clear body is shown.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub body: Option<String>,
+    /// `integrate-first`; None where it is the default or there are no directions.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub order: Option<&'static str>,
 }
 
 impl SettingName {
-    /// Joined by hyphens, for file names; filter and light only where they are not the default ones.
+    /// Joined by hyphens, for file names; filter, light and order only where they are not the default ones.
     pub fn slug(&self) -> String {
         let exponent = self.exponent.map(|n| n.to_string());
         let filter = (self.filter != oslf::Filter::default().name()).then_some(self.filter);
-        [Some(self.component), self.blend, exponent.as_deref(), filter, self.light.as_deref()]
+        [Some(self.component), self.blend, exponent.as_deref(), filter, self.light.as_deref(), self.order]
             .into_iter()
             .flatten()
             .collect::<Vec<_>>()
@@ -120,14 +129,29 @@ impl Settings {
                     exponent,
                     filter: s.filter.name(),
                     light: s.light.name(),
+                    directions: match s.component {
+                        oslf::Component::Glossy(gloss) => Some(gloss.directions),
+                        _ => None,
+                    },
+                    body: self.dielectric().map(|dielectric| dielectric.name()),
+                    order: s.order().filter(|order| *order != oslf::Order::BlendFirst).map(oslf::Order::name),
                 }
             }
-            Self::ParameterMap(s) => SettingName { component: s.show.name(), blend: None, exponent: None, filter: "bilinear", light: None },
+            Self::ParameterMap(s) => SettingName {
+                component: s.show.name(),
+                blend: None,
+                exponent: None,
+                filter: "bilinear",
+                light: None,
+                directions: None,
+                body: None,
+                order: None,
+            },
         }
     }
 
     /// The BRDF that the object is shown with, where it is another than its own or a mirror's.
-    pub fn brdf(&self) -> Option<AnalyticBrdf> {
+    pub fn brdf(&self) -> Option<oslf::GlossBrdf> {
         match self {
             Self::OffsetSurfaceLightField(s) => match s.component {
                 oslf::Component::Glossy(gloss) => Some(gloss.brdf),
@@ -308,6 +332,8 @@ pub struct FrameRequest<'a> {
     pub outputs: Outputs,
     /// Whether the frame may be shown before all of its pages are on the device.
     pub refine: Refine,
+    /// Of the settings' BRDF, where that is a measured one.
+    pub table: Option<&'a Arc<Measured>>,
 }
 
 /// What to do about pages that a frame needs and that are not on the device. The CPU draws whole frames only.
@@ -395,6 +421,12 @@ pub enum RenderError {
     /// Cube maps that do not tell how much of a coarse texel's light comes from infinity.
     #[error("the dataset was captured by a version that did not store what frames in other light need: capture it anew")]
     NoSkyShares,
+    /// Settings that name a measured BRDF, without it.
+    #[error("the measured BRDF {table} did not come with the request")]
+    NoTable {
+        /// Hash of its file.
+        table: ContentHash,
+    },
     /// Settings of another kind than the dataset's.
     #[error("settings are of a {}, the dataset is of another kind", settings.name())]
     OtherKind {

@@ -68,6 +68,7 @@ fn submit(app: &App, message: Option<proto::JobSpec>, id: String) -> Result<JobV
     if let Some((dataset, wanted)) = spec.reads() {
         let manifest = app.catalog.manifest(dataset, wanted)?;
         spec.settings().iter().try_for_each(|s| check_kind(&s.settings, &manifest.kind))?;
+        spec.settings().iter().try_for_each(|s| app.catalog.tables().check(&s.settings))?;
         if matches!(spec, JobSpec::Fit(_)) && manifest.kind != OBSERVATION_MAP {
             let message = format!("dataset {dataset} holds {:?}, {OBSERVATION_MAP:?} expected", manifest.kind);
             return Err(ApiError::new(Reason::DatasetKindMismatch, message));

@@ -7,6 +7,8 @@ use lumisphere::radiometry::dielectric::{Body, Dielectric, MOST_INDEX};
 use lumisphere::representations::offset_surface_light_field as oslf;
 use lumisphere::representations::{Settings, parameter_map};
 use lumisphere::scenes::{MOST_POINT_LIGHTS, PointLight, Relighting};
+use lumisphere::textures::ContentHash;
+use serde::Deserialize;
 
 use super::camera::vec3;
 use super::{count, proto, required, within};
@@ -276,17 +278,44 @@ fn component(
 }
 
 fn gloss(message: Option<proto::offset_surface_light_field_settings::Gloss>, field: &str) -> Result<oslf::Gloss, ApiError> {
+    use proto::offset_surface_light_field_settings::gloss::Order;
     let message = required(message, field)?;
     let wrong = |problem: String| ApiError::field(format!("{field}.brdf"), problem);
     if message.brdf.len() > MAX_BRDF_BYTES {
         return Err(wrong(format!("{} bytes, at most {MAX_BRDF_BYTES} expected", message.brdf.len())));
     }
-    let brdf = serde_json::from_str(&message.brdf).map_err(|e| wrong(format!("{e} in {:?}", message.brdf)))?;
+    let brdf = gloss_brdf(&message.brdf).map_err(|e| wrong(format!("{e} in {:?}", message.brdf)))?;
+    let order = match Order::try_from(message.order) {
+        Ok(Order::Unspecified | Order::BlendFirst) => oslf::Order::BlendFirst,
+        Ok(Order::IntegrateFirst) => oslf::Order::IntegrateFirst,
+        Err(_) => {
+            return Err(ApiError::field(format!("{field}.order"), format!("{}, BLEND_FIRST or INTEGRATE_FIRST expected", message.order)));
+        }
+    };
     let directions = if message.directions == 0 { DEFAULT_DIRECTIONS } else { message.directions };
     if directions > oslf::MOST_DIRECTIONS {
         return Err(ApiError::field(format!("{field}.directions"), format!("{directions}, 1 to {} expected", oslf::MOST_DIRECTIONS)));
     }
-    Ok(oslf::Gloss { brdf, directions, pass: 0 })
+    Ok(oslf::Gloss { brdf, order, directions, pass: 0 })
+}
+
+/// `{"model": "measured", "table": HASH}`, or a model's parameters.
+fn gloss_brdf(json: &str) -> Result<oslf::GlossBrdf, serde_json::Error> {
+    #[derive(Deserialize)]
+    struct Model {
+        model: Option<String>,
+    }
+    #[derive(Deserialize)]
+    #[serde(deny_unknown_fields)]
+    struct OfTable {
+        #[serde(rename = "model")]
+        _model: String,
+        table: ContentHash,
+    }
+    match serde_json::from_str::<Model>(json)?.model.as_deref() {
+        Some("measured") => Ok(oslf::GlossBrdf::Measured(serde_json::from_str::<OfTable>(json)?.table)),
+        Some(_) | None => Ok(oslf::GlossBrdf::Analytic(serde_json::from_str(json)?)),
+    }
 }
 
 fn refraction(message: Option<proto::offset_surface_light_field_settings::Refraction>, field: &str) -> Result<Dielectric, ApiError> {
@@ -427,7 +456,7 @@ mod tests {
         assert!(refused(3, 77).starts_with("s.blend: 77"));
         assert!(refused(4, 1).starts_with("s.gloss"));
         let glossy = |brdf: &str, directions| {
-            let gloss = proto::offset_surface_light_field_settings::Gloss { brdf: brdf.into(), directions, passes: 0 };
+            let gloss = proto::offset_surface_light_field_settings::Gloss { brdf: brdf.into(), directions, passes: 0, order: 0 };
             oslf_settings(proto::OffsetSurfaceLightFieldSettings { gloss: Some(gloss), ..message(4, 1) }, "s")
         };
         let lambert = r#"{"model": "lambert", "albedo": [0.5, 0.5, 0.5]}"#;
@@ -438,11 +467,23 @@ mod tests {
             (&" ".repeat(3000), "3000 bytes"),
             (r#"{"model": "velvet"}"#, "unknown variant `velvet`"),
             (r#"{"model": "lambert", "albedo": [0.5, 1.5, 0.5]}"#, "albedo"),
+            (r#"{"model": "measured"}"#, "missing field `table`"),
+            (r#"{"model": "measured", "table": "12"}"#, "64"),
+            (r#"{"model": "measured", "file": "a.binary", "table": ""}"#, "unknown field `file`"),
             (r#"{"model": "lambert", "albedo": [0.5, 0.5, 0.5], "gloss": 1}"#, "unknown field"),
         ] {
             let error = glossy(bad, 1).unwrap_err().to_string();
             assert!(error.starts_with("s.gloss.brdf: ") && error.contains(problem), "{error}");
         }
+        let table = format!(r#"{{"model": "measured", "table": "{}"}}"#, ContentHash([0xab; 32]));
+        let oslf::Component::Glossy(gloss) = glossy(&table, 1).unwrap().component else { panic!("glossy") };
+        assert_eq!((gloss.brdf.table(), gloss.order), (Some(ContentHash([0xab; 32])), oslf::Order::BlendFirst));
+        let ordered = |order| {
+            let gloss = proto::offset_surface_light_field_settings::Gloss { brdf: lambert.into(), directions: 1, passes: 0, order };
+            oslf_settings(proto::OffsetSurfaceLightFieldSettings { gloss: Some(gloss), ..message(4, 1) }, "s")
+        };
+        assert_eq!(ordered(2).unwrap().order(), Some(oslf::Order::IntegrateFirst));
+        assert!(ordered(3).unwrap_err().to_string().starts_with("s.gloss.order: 3, BLEND_FIRST"));
         let sharper = proto::OffsetSurfaceLightFieldSettings { filter: 9, ..message(1, 0) };
         assert!(oslf_settings(sharper, "s").unwrap_err().to_string().starts_with("s.filter: 9"));
         let nan = proto::OffsetSurfaceLightFieldSettings { exponent: Some(f32::NAN), ..message(2, 4) };
@@ -506,7 +547,7 @@ mod tests {
     fn passes_are_of_glossy_stills_alone_and_bounded() {
         let with = |component, passes| {
             let brdf = r#"{"model": "lambert", "albedo": [0.5, 0.5, 0.5]}"#.into();
-            let gloss = proto::offset_surface_light_field_settings::Gloss { brdf, directions: 0, passes };
+            let gloss = proto::offset_surface_light_field_settings::Gloss { brdf, directions: 0, passes, order: 0 };
             let field = proto::OffsetSurfaceLightFieldSettings { gloss: Some(gloss), ..message(component, 1) };
             let representation = Some(proto::render_settings::Representation::OffsetSurfaceLightField(field));
             render_settings(Some(proto::RenderSettings { representation, ..Default::default() }), "s").map(|s| s.passes)

@@ -25,6 +25,8 @@ impl Work {
         let (_, scene) = self.captured_scene(&version)?;
         let manifest = version.pages.version.manifest();
         let captured = version.representation.captured();
+        let tables = spec.settings.iter().filter_map(|s| s.settings.brdf()?.table());
+        let tables = tables.map(|hash| Ok((hash, version.tables.get(hash)?)));
         let plan = Plan {
             object: captured.object.into(),
             cameras: cameras(&spec.views, &version)?,
@@ -36,6 +38,7 @@ impl Work {
                 seed: spec.seed,
             },
             timed_frames: spec.timed_frames_per_view,
+            tables: tables.collect::<Result<_, ApiError>>()?,
         };
         let mut blobs = Vec::new();
         let mut render = |camera: &Camera, setting: usize| {

@@ -4,10 +4,24 @@ use std::ops::Range;
 
 use super::super::Gpu;
 use super::super::ring::UploadRing;
+use super::ATLAS_TEXTURES;
 use crate::textures::PixelFormat;
 
 // The largest layer's edge: far below what devices allow, and 32 MiB of RGBA16F.
 const LAYER_EDGE_TEXELS: u32 = 2048;
+
+// lavapipe refuses textures above 1 GiB; other devices have no such limit, but larger ones gain nothing.
+const MAX_TEXTURE_BYTES: u64 = 1 << 30;
+
+/// How slots lie in textures.
+pub(super) struct Layout {
+    /// Along a layer's edge.
+    pub slots_per_edge: u32,
+    /// Of each texture.
+    pub layers: Vec<u32>,
+    /// In all, those set apart included: at least one more than those.
+    pub slots: usize,
+}
 
 /// What an atlas holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -98,6 +112,34 @@ impl AtlasShape {
             PixelFormat::F32 => wgpu::TextureFormat::Rgba32Float,
             PixelFormat::F16 => wgpu::TextureFormat::Rgba16Float,
         }
+    }
+
+    /// What the smallest atlas takes: a page beside the slots set apart.
+    pub(super) fn least_bytes(self) -> u64 {
+        self.bytes_beside() + (1 + self.pinned_slots as u64) * self.page_bytes()
+    }
+
+    /// Pages that an atlas of `budget_bytes` can hold at once; 0 where there can be none.
+    pub fn capacity(self, gpu: &Gpu, budget_bytes: u64) -> usize {
+        self.layout(gpu, budget_bytes).map_or(0, |layout| layout.slots - self.pinned_slots)
+    }
+
+    // As many slots as there are pages, or as fit beside the upload ring and the indirection; None where no page does.
+    pub(super) fn layout(self, gpu: &Gpu, budget_bytes: u64) -> Option<Layout> {
+        let budget_bytes = budget_bytes.checked_sub(self.bytes_beside()).filter(|_| budget_bytes >= self.least_bytes())?;
+        let slots_per_edge = self.slots_per_edge(gpu, budget_bytes);
+        let in_a_layer = (slots_per_edge as usize).pow(2);
+        let layer_bytes = self.bytes_of_levels(slots_per_edge * self.page_size);
+        let wanted = (self.page_count + self.pinned_slots).div_ceil(in_a_layer.max(1)) as u64;
+        let most = (MAX_TEXTURE_BYTES / layer_bytes).min(u64::from(gpu.device().limits().max_texture_array_layers)).min(1 << 13);
+        let mut left = wanted.min(budget_bytes / layer_bytes).min(most * ATLAS_TEXTURES as u64);
+        let mut layers = Vec::new();
+        while left > 0 {
+            layers.push(left.min(most) as u32);
+            left -= left.min(most);
+        }
+        let slots = layers.iter().sum::<u32>() as usize * in_a_layer;
+        (slots > self.pinned_slots).then_some(Layout { slots_per_edge, layers, slots })
     }
 
     // Slots along a layer's edge: as many as the largest layer, the budget, and the pages there are make sensible.

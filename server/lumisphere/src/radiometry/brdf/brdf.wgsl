@@ -9,6 +9,7 @@ const ASHIKHMIN_SHIRLEY = 2u;
 const COOK_TORRANCE = 3u;
 const WARD = 4u;
 const LAFORTUNE = 5u;
+const MEASURED = 6u;
 
 // A lobe of Lafortune's model; a black one has share 0.
 struct LobeUniform {
@@ -18,7 +19,7 @@ struct LobeUniform {
     share: f32,
 }
 
-// The numbers of any analytic model (uniform.rs says which model uses which).
+// The numbers of any model (uniform.rs says which model uses which; of a measured one its highlight's share).
 struct BrdfUniform {
     diffuse: vec3<f32>,
     exponent: f32,
@@ -317,6 +318,88 @@ fn lafortune_sample(brdf: BrdfUniform, wo: vec3<f32>, u: vec2<f32>) -> vec3<f32>
     return power_lobe(axis.xyz, lobe.exponent, vec2(rest / lobe.share, u.y));
 }
 
+// measured.rs. Whoever includes this defines `measured_texel(at: u32) -> vec4<f32>`: the values, then a texel for each cell of θ_h.
+
+const MEASURED_HALVES: u32 = 90u;
+const MEASURED_TILTS: u32 = 90u;
+const MEASURED_TURNS: u32 = 180u;
+const MEASURED_VALUES: u32 = 1458000u;
+const TAN_OF_AN_EIGHTH: f32 = 0.41421357;
+
+fn measured_angle(y: f32, x: f32) -> f32 {
+    let low = min(y, abs(x));
+    let high = max(y, abs(x));
+    var ratio = 0.0;
+    if high > 0.0 {
+        ratio = low / high;
+    }
+    let is_steep = ratio > TAN_OF_AN_EIGHTH;
+    let t = select(ratio, (ratio - 1.0) / (ratio + 1.0), is_steep);
+    let z = t * t;
+    let series = (((8.053745e-2 * z - 1.3877686e-1) * z + 1.9977711e-1) * z - 3.333295e-1) * z * t + t;
+    let within = select(series, BRDF_PI / 4.0 + series, is_steep);
+    let quadrant = select(within, BRDF_PI / 2.0 - within, y > abs(x));
+    return select(quadrant, BRDF_PI - quadrant, x < 0.0);
+}
+
+fn measured_half_cell(h: vec3<f32>) -> u32 {
+    let theta = measured_angle(sqrt(h.x * h.x + h.y * h.y), h.z);
+    return min(u32(sqrt(theta / (BRDF_PI / 2.0)) * f32(MEASURED_HALVES)), MEASURED_HALVES - 1u);
+}
+
+fn measured_index(wo: vec3<f32>, wi: vec3<f32>) -> u32 {
+    let half = half_vector(wo, wi);
+    let h = half.h;
+    let theta_d = measured_angle(0.5 * length(wi - wo), half.along);
+    let radius = sqrt(h.x * h.x + h.y * h.y);
+    var azimuth = vec2(1.0, 0.0);
+    if radius > 0.0 {
+        azimuth = h.xy / radius;
+    }
+    let x = (azimuth.x * wi.x + azimuth.y * wi.y) * h.z - wi.z * radius;
+    let y = azimuth.x * wi.y - azimuth.y * wi.x;
+    let turn = measured_angle(abs(y), select(x, -x, y < 0.0));
+    let tilt_cell = min(u32(theta_d / (BRDF_PI / 2.0) * f32(MEASURED_TILTS)), MEASURED_TILTS - 1u);
+    let turn_cell = min(u32(turn / BRDF_PI * f32(MEASURED_TURNS)), MEASURED_TURNS - 1u);
+    return (measured_half_cell(h) * MEASURED_TILTS + tilt_cell) * MEASURED_TURNS + turn_cell;
+}
+
+fn measured_eval(wo: vec3<f32>, wi: vec3<f32>) -> vec3<f32> {
+    return measured_texel(measured_index(wo, wi)).rgb;
+}
+
+fn measured_half_pdf(h: vec3<f32>) -> f32 {
+    let cell = measured_texel(MEASURED_VALUES + measured_half_cell(h));
+    return (cell.y - cell.x) / (BRDF_TAU * (cell.w - cell.z));
+}
+
+fn measured_sample_half(u: vec2<f32>) -> vec3<f32> {
+    // The first cell that the probabilities up to it pass u.x in; 90 cells take 7 halvings.
+    var first = 0u;
+    var last = MEASURED_HALVES - 1u;
+    for (var halving = 0u; halving < 7u; halving++) {
+        if first < last {
+            let middle = (first + last) / 2u;
+            if measured_texel(MEASURED_VALUES + middle).y <= u.x {
+                first = middle + 1u;
+            } else {
+                last = middle;
+            }
+        }
+    }
+    let cell = measured_texel(MEASURED_VALUES + first);
+    let within = clamp((u.x - cell.x) / (cell.y - cell.x), 0.0, 1.0);
+    let off = cell.z + within * (cell.w - cell.z);
+    let radius = sqrt(max(off * (2.0 - off), 0.0));
+    return normalize(vec3(radius * cos(BRDF_TAU * u.y), radius * sin(BRDF_TAU * u.y), 1.0 - off));
+}
+
+fn measured_pdf(brdf: BrdfUniform, wo: vec3<f32>, wi: vec3<f32>) -> f32 {
+    let half = half_vector(wo, wi);
+    let share = brdf.specular_share;
+    return (1.0 - share) * cosine_pdf(wi) + share * measured_half_pdf(half.h) / (4.0 * half.along);
+}
+
 // mod.rs
 
 // sr⁻¹ per channel, without the cosine. Directions: unit, tangent space.
@@ -330,6 +413,7 @@ fn brdf_eval(brdf: BrdfUniform, wo: vec3<f32>, wi: vec3<f32>) -> vec3<f32> {
         case COOK_TORRANCE: { return cook_torrance_eval(brdf, wo, wi); }
         case WARD: { return ward_eval(brdf, wo, wi); }
         case LAFORTUNE: { return lafortune_eval(brdf, wo, wi); }
+        case MEASURED: { return measured_eval(wo, wi); }
         default: { return brdf.diffuse * BRDF_INVERSE_PI; }
     }
 }
@@ -345,6 +429,7 @@ fn brdf_pdf(brdf: BrdfUniform, wo: vec3<f32>, wi: vec3<f32>) -> f32 {
         case COOK_TORRANCE: { return cook_torrance_pdf(brdf, wo, wi); }
         case WARD: { return ward_pdf(brdf, wo, wi); }
         case LAFORTUNE: { return lafortune_pdf(brdf, wo, wi); }
+        case MEASURED: { return measured_pdf(brdf, wo, wi); }
         default: { return cosine_pdf(wi); }
     }
 }
@@ -375,6 +460,8 @@ fn brdf_sample(brdf: BrdfUniform, wo: vec3<f32>, u: vec2<f32>) -> BrdfSample {
             var h: vec3<f32>;
             if BRDF_MODEL == WARD {
                 h = ward_sample_half(brdf, vec2(u.x / share, u.y));
+            } else if BRDF_MODEL == MEASURED {
+                h = measured_sample_half(vec2(u.x / share, u.y));
             } else {
                 h = ashikhmin_shirley_sample_half(brdf, vec2(u.x / share, u.y));
             }

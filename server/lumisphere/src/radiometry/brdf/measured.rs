@@ -7,12 +7,12 @@
 //! Directions are drawn half from the cosine, half by a table of half vectors, in the proportion of the light that either reflects.
 //! Measurements are noisy near the horizon: what a table reflects there may exceed what arrives.
 
-use std::f32::consts::{FRAC_PI_2, PI, TAU};
+use std::f32::consts::{FRAC_PI_2, FRAC_PI_4, PI, TAU};
 
 use glam::{Vec2, Vec3};
 
 use super::lobes::{cosine_pdf, reflected, sample_highlight};
-use super::{Brdf, BrdfError, above_horizon, half_vector, wrong};
+use super::{Brdf, BrdfError, BrdfUniform, above_horizon, half_vector, wrong};
 
 /// Cells of θ_h, θ_d and φ_d.
 pub const MEASURED_SHAPE: [usize; 3] = [90, 90, 180];
@@ -70,6 +70,30 @@ impl Measured {
         })
     }
 
+    /// What the override `BRDF_MODEL` of `brdf.wgsl` is for tables.
+    pub const NUMBER: u32 = 6;
+
+    /// Its numbers for a pipeline whose `BRDF_MODEL` is [`Self::NUMBER`]; the table itself are its texels.
+    pub fn uniform(&self) -> BrdfUniform {
+        BrdfUniform { model: Self::NUMBER, specular_share: self.highlight_share, ..bytemuck::Zeroable::zeroed() }
+    }
+
+    /// How many [`Self::texels`] there are.
+    pub const TEXELS: usize = HALVES * TILTS * TURNS + HALVES;
+
+    /// What `measured_texel` of `brdf.wgsl` reads: the values, then, for every cell of θ_h, the probability of the cells before it, of those up to it, and 1 − cos
+    /// of its edges.
+    pub fn texels(&self) -> impl Iterator<Item = [f32; 4]> {
+        let below = std::iter::once(0.0).chain(self.cumulative.iter().copied());
+        let cells = self.cumulative.iter().zip(below).zip(self.edges.windows(2));
+        self.values.iter().map(|v| v.extend(0.0).into()).chain(cells.map(|((up_to, below), edges)| [below, *up_to, edges[0], edges[1]]))
+    }
+
+    /// In memory.
+    pub fn bytes(&self) -> u64 {
+        size_of_val(self.values.as_slice()) as u64
+    }
+
     /// Density of half vectors per steradian.
     fn half_pdf(&self, h: Vec3) -> f32 {
         let cell = half_cell(h);
@@ -116,23 +140,40 @@ fn mean_values(values: &[Vec3]) -> Vec<f64> {
 #[inline]
 fn half_cell(h: Vec3) -> usize {
     // Not acos, which has no digits left near the normal, where the cells are smallest.
-    let theta = (h.x * h.x + h.y * h.y).sqrt().atan2(h.z);
+    let theta = angle((h.x * h.x + h.y * h.y).sqrt(), h.z);
     (((theta / FRAC_PI_2).sqrt() * HALVES as f32) as usize).min(HALVES - 1)
 }
+
+/// Of (x, y) from +X, 0 to π, for y ≥ 0. By our own series (Cephes' `atanf`, S. L. Moshier), because WGSL leaves the accuracy of `atan2` to the device, and
+/// cells are found by it.
+#[inline]
+fn angle(y: f32, x: f32) -> f32 {
+    let (low, high) = (y.min(x.abs()), y.max(x.abs()));
+    let ratio = if high > 0.0 { low / high } else { 0.0 };
+    let is_steep = ratio > TAN_OF_AN_EIGHTH;
+    let t = if is_steep { (ratio - 1.0) / (ratio + 1.0) } else { ratio };
+    let z = t * t;
+    let series = (((8.053_745e-2 * z - 1.387_768_6e-1) * z + 1.997_771_1e-1) * z - 3.333_295e-1) * z * t + t;
+    let within = if is_steep { FRAC_PI_4 + series } else { series };
+    let quadrant = if y > x.abs() { FRAC_PI_2 - within } else { within };
+    if x < 0.0 { PI - quadrant } else { quadrant }
+}
+
+// tan(π/8)
+const TAN_OF_AN_EIGHTH: f32 = 0.414_213_57;
 
 /// Index of the value for two directions above the horizon.
 fn index(wo: Vec3, wi: Vec3) -> usize {
     let (h, along) = half_vector(wo, wi);
     // θ_d by its sine, |wi − wo| / 2.
-    let theta_d = (0.5 * (wi - wo).length()).atan2(along);
+    let theta_d = angle(0.5 * (wi - wo).length(), along);
     // φ_d: of wi, around h, from the plane of h and the normal. x along the meridian (growing θ), y across it.
     let radius = (h.x * h.x + h.y * h.y).sqrt();
     let azimuth = if radius > 0.0 { Vec2::new(h.x, h.y) / radius } else { Vec2::X };
     let x = (azimuth.x * wi.x + azimuth.y * wi.y) * h.z - wi.z * radius;
     let y = azimuth.x * wi.y - azimuth.y * wi.x;
     // wo lies opposite: half a turn on, in the same cell.
-    let turn = y.atan2(x);
-    let turn = if turn < 0.0 { turn + PI } else { turn };
+    let turn = if y < 0.0 { angle(-y, -x) } else { angle(y, x) };
     let cell = |angle: f32, range: f32, count: usize| ((angle / range * count as f32) as usize).min(count - 1);
     (half_cell(h) * TILTS + cell(theta_d, FRAC_PI_2, TILTS)) * TURNS + cell(turn, PI, TURNS)
 }
@@ -172,6 +213,18 @@ mod tests {
             let wo = 2.0 * wi.dot(h) * h - wi;
             assert_eq!(index(wo, wi), (i * TILTS + j) * TURNS + k, "{i} {j} {k}");
             assert_eq!(index(wi, wo), index(wo, wi), "{i} {j} {k}");
+        }
+    }
+
+    #[test]
+    fn angles_are_those_of_the_library() {
+        for (y, x) in [(0.0, 0.0), (0.0, 1.0), (0.0, -1.0), (1.0, 0.0), (1e-30, -1e-30)] {
+            assert!((angle(y, x) - y.atan2(x)).abs() < 3e-7, "{y}, {x}");
+        }
+        for k in 0..4000 {
+            let expected = k as f32 / 4000.0 * PI;
+            let (y, x) = expected.sin_cos();
+            assert!((angle(7.0 * y, 7.0 * x) - expected).abs() < 4e-7, "{expected}");
         }
     }
 

@@ -2,7 +2,7 @@
 //!
 //! Called by the path tracer and by renderers that integrate stored light. Directions are unit vectors in the tangent frame, away from the
 //! point: +Z is the normal, +X and +Y the tangents that anisotropy refers to. Values are per steradian and *without* the cosine. All is
-//! f32, without recursion or tables (the measured one aside): `brdf.wgsl` is the twin of all analytic models.
+//! f32, without recursion or tables (the measured one aside); `brdf.wgsl` is the twin of all.
 //!
 //! | model | source | parameters |
 //! | --- | --- | --- |
@@ -28,7 +28,7 @@ mod measured;
 mod parameters;
 mod phong;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 mod uniform;
 mod ward;
 

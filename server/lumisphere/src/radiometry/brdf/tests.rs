@@ -33,7 +33,7 @@ fn lafortune(diffuse: f32, lobes: &[(f32, Vec3, f32)]) -> BrdfModel {
 }
 
 /// A table as a measurement would give it: `brdf`, which is isotropic, read in the middle of every cell.
-fn measured(brdf: &BrdfModel) -> BrdfModel {
+pub(crate) fn measured(brdf: &BrdfModel) -> BrdfModel {
     let [halves, tilts, turns] = MEASURED_SHAPE;
     let value = |at: usize| {
         let (i, j, k) = (at / turns / tilts, at / turns % tilts, at % turns);

@@ -29,7 +29,7 @@ pub struct BrdfUniform {
     pub exponent: f32,
     /// k_s, R_s, F(0°) or ρ_s.
     pub specular: Vec3,
-    /// Probability that Phong and Ward draw from the highlight.
+    /// Probability that Phong, Ward and a measured table draw from the highlight.
     pub specular_share: f32,
     /// Cook–Torrance's reflectance at grazing incidence.
     pub f90: Vec3,

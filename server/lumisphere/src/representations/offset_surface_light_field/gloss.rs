@@ -2,7 +2,8 @@
 //! has the same functions by the same names.
 //!
 //! `L(x, v) ≈ 1/M Σₛ f_r(v, lₛ) (n·lₛ) / p(lₛ) · Σⱼ βⱼ Lᵢ(pⱼ; lₛ)`, the paper's second order of integration (blend, then integrate). The
-//! directions are the same for every pixel (Roberts' R2 sequence), so that there is no noise from one to the next. With
+//! directions are the same for every pixel (Roberts' R2 sequence), so that there is no noise from one to the next. In its first order,
+//! `Σⱼ βⱼ · 1/M Σₛ f_r(v, lⱼₛ) (n·lⱼₛ) / p(lⱼₛ) · Lᵢ(pⱼ; lⱼₛ)`, every sample point has directions of its own and βⱼ is that of the mirror direction. With
 //! `Filter::Footprint` each reads the mean over its share of the lobe, `1/(M·p)` (filtered importance sampling: Křivánek & Colbert 2008),
 //! and of what the pixel covers of a mirror's image: a few tens of directions do then. With `Filter::Bilinear` it reads four
 //! texels, as in the paper, and M directions show as M images of what is bright.
@@ -15,8 +16,8 @@
 use glam::{Vec2, Vec3};
 
 use super::relight::light_visibility;
-use super::shade::{NOTHING, ReadCube, Shaded, Sight, mirrored, radiance_toward};
-use super::{Blend, Filter, Gloss, NO_SAMPLE, OffsetSurfaceLightField, Settings};
+use super::shade::{NOTHING, ReadCube, Shaded, Sight, blend_weights, mirrored, radiance_toward, toward_samples};
+use super::{Blend, Filter, Gloss, GlossBrdf, NO_SAMPLE, OffsetSurfaceLightField, Settings};
 use crate::directions::DirectionDifferential;
 use crate::geometry::TangentFrame;
 use crate::radiometry::brdf::Brdf;
@@ -41,22 +42,46 @@ pub(super) fn glossy(
     let nearest = candidates.into_iter().find(|j| *j != NO_SAMPLE).map(u32::from);
     let baseline = (settings.blend == Blend::EnvironmentMap).then_some(field.sample_points.len() as u32);
     let Some(sample) = baseline.or(nearest) else { return Ok(NOTHING) };
+    let table = cubes.table();
+    let brdf: &dyn Brdf = match (&gloss.brdf, &table) {
+        (GlossBrdf::Analytic(brdf), _) => brdf,
+        (GlossBrdf::Measured(_), Some(table)) => table.as_ref(),
+        (GlossBrdf::Measured(hash), None) => return Err(RenderError::NoTable { table: *hash }),
+    };
     let white = Settings { specular_reflectance: Vec3::ONE, ..*settings };
     let frame = TangentFrame::along(at.normal, tangent);
     let wo = frame.local_from_world(-at.direction);
     let pixel = mirrored(at, by);
     let covered = pixel.across.cross(pixel.down).length();
-    let (mut radiance, mut is_filled) = (Vec3::ZERO, false);
+    let integrates_first = gloss.integrates_first(settings.blend);
+    let (weights, mut is_filled) = match integrates_first {
+        false => ([1.0, 0.0, 0.0, 0.0], false),
+        true => {
+            let toward = toward_samples(field, candidates, at.position, at.normal);
+            let blend = blend_weights(settings.blend, candidates, toward, at.normal, pixel.direction);
+            (blend.weights, blend.answer != Answer::Hit)
+        }
+    };
+    let mut radiance = Vec3::ZERO;
     let first = gloss.first_direction();
     let sharing = first + gloss.directions;
-    for number in first..sharing {
-        let Some((wi, density)) = gloss.brdf.sample(wo, place(number)) else { continue };
-        let weight = gloss.brdf.eval(wo, wi) * (wi.z / density);
-        let solid_angle = OVERLAP / (sharing as f32 * density) + covered;
-        let look = spread(frame.world_from_local(wi), solid_angle, settings.filter);
-        let found = radiance_toward(field, &white, at, by, &look, candidates, cubes)?;
-        radiance += weight * found.radiance;
-        is_filled |= found.provenance.answer() != Answer::Hit;
+    for (k, share) in weights.into_iter().enumerate().filter(|(_, share)| *share > 0.0) {
+        let own = if integrates_first { u32::from(candidates[k]) } else { 0 };
+        let mut integral = Vec3::ZERO;
+        for number in first..sharing {
+            let Some((wi, density)) = brdf.sample(wo, place(number, own)) else { continue };
+            let weight = brdf.eval(wo, wi) * (wi.z / density);
+            let solid_angle = OVERLAP / (sharing as f32 * density) + covered;
+            let look = spread(frame.world_from_local(wi), solid_angle, settings.filter);
+            if integrates_first {
+                integral += weight * cubes.read_cube(own, &look)?;
+            } else {
+                let found = radiance_toward(field, &white, at, by, &look, candidates, cubes)?;
+                integral += weight * found.radiance;
+                is_filled |= found.provenance.answer() != Answer::Hit;
+            }
+        }
+        radiance += share * integral;
     }
     radiance /= gloss.directions as f32;
     for light in settings.light.point_lights() {
@@ -64,17 +89,21 @@ pub(super) fn glossy(
         let wi = frame.local_from_world(to_light.normalize_or_zero());
         if wi.z > 0.0 {
             let seen = light_visibility(field, at, candidates, light.position, cubes)?;
-            radiance += gloss.brdf.eval(wo, wi) * light.intensity * (seen * wi.z / to_light.length_squared());
+            radiance += brdf.eval(wo, wi) * light.intensity * (seen * wi.z / to_light.length_squared());
         }
     }
     let answer = if is_filled { Answer::Filled } else { Answer::Hit };
     Ok(Shaded { radiance, provenance: Provenance::new(answer, sample) })
 }
 
-/// Point `number` of the R2 sequence (Roberts 2018) in [0, 1)², in whole numbers so that both twins have the same.
-fn place(number: u32) -> Vec2 {
-    let part = |step: u32| (number.wrapping_add(1).wrapping_mul(step) >> 8) as f32 / (1 << 24) as f32;
-    Vec2::new(part(3_242_174_889), part(2_447_445_413))
+/// Point `number` of the R2 sequence (Roberts 2018) in [0, 1)², in whole numbers so that both twins have the same; shifted for each sample point (Cranley &
+/// Patterson 1976), so that those of a pixel see different directions.
+fn place(number: u32, own: u32) -> Vec2 {
+    let part = |step: u32, shift: u32| {
+        let place = number.wrapping_add(1).wrapping_mul(step).wrapping_add(own.wrapping_mul(shift));
+        (place >> 8) as f32 / (1 << 24) as f32
+    };
+    Vec2::new(part(3_242_174_889, 2_654_435_769), part(2_447_445_413, 3_367_900_313))
 }
 
 /// A square look of that solid angle, sr.

@@ -2,6 +2,18 @@
 
 const OVERLAP: f32 = 4.0;
 
+// Whether sample points are integrated one by one.
+override INTEGRATES_FIRST: bool = false;
+
+// Texels in a row of the table: 2 to this power.
+const TABLE_BITS: u32 = 11u;
+
+@group(2) @binding(7) var measured_table: texture_2d<f32>;
+
+fn measured_texel(at: u32) -> vec4<f32> {
+    return textureLoad(measured_table, vec2<u32>(at & ((1u << TABLE_BITS) - 1u), at >> TABLE_BITS), 0);
+}
+
 fn glossy(at: Sight, across: Sight, down: Sight, tangent: vec3<f32>, candidates: vec4<u32>) -> Shaded {
     let nearest = first_of(candidates != vec4(NO_SAMPLE));
     if nearest == 4u && BLEND != ENVIRONMENT_MAP {
@@ -12,19 +24,44 @@ fn glossy(at: Sight, across: Sight, down: Sight, tangent: vec3<f32>, candidates:
     let wo = local_from_world(frame, -at.direction);
     let pixel = mirrored(at, across, down);
     let covered = length(cross(pixel.across, pixel.down));
+    var blend = BlendWeights(vec4(1.0, 0.0, 0.0, 0.0), HIT);
+    if INTEGRATES_FIRST {
+        blend = blend_weights(
+            candidates,
+            toward_sample(at.position, candidates.x, at.normal),
+            toward_sample(at.position, candidates.y, at.normal),
+            toward_sample(at.position, candidates.z, at.normal),
+            toward_sample(at.position, candidates.w, at.normal),
+            at.normal,
+            pixel.direction,
+        );
+    }
     var radiance = vec3(0.0);
-    var is_filled = false;
+    var is_filled = blend.answer != HIT;
     let sharing = shading.first_direction + shading.directions;
-    for (var number = shading.first_direction; number < sharing; number++) {
-        let drawn = brdf_sample(gloss, wo, place(number));
-        if drawn.pdf > 0.0 {
-            let weight = brdf_eval(gloss, wo, drawn.wi) * (drawn.wi.z / drawn.pdf);
-            let solid_angle = OVERLAP / (f32(sharing) * drawn.pdf) + covered;
-            let look = spread(world_from_local(frame, drawn.wi), solid_angle);
-            let found = radiance_toward(at, across, down, look, candidates);
-            radiance += weight * found.radiance;
-            is_filled |= (found.provenance >> 30u) != HIT;
+    for (var k = 0u; k < select(1u, 4u, INTEGRATES_FIRST); k++) {
+        let share = component(blend.weights, k);
+        if share <= 0.0 {
+            continue;
         }
+        let own = select(0u, element(candidates, k), INTEGRATES_FIRST);
+        var integral = vec3(0.0);
+        for (var number = shading.first_direction; number < sharing; number++) {
+            let drawn = brdf_sample(gloss, wo, place(number, own));
+            if drawn.pdf > 0.0 {
+                let weight = brdf_eval(gloss, wo, drawn.wi) * (drawn.wi.z / drawn.pdf);
+                let solid_angle = OVERLAP / (f32(sharing) * drawn.pdf) + covered;
+                let look = spread(world_from_local(frame, drawn.wi), solid_angle);
+                if INTEGRATES_FIRST {
+                    integral += weight * read_cube(own, look);
+                } else {
+                    let found = radiance_toward(at, across, down, look, candidates);
+                    integral += weight * found.radiance;
+                    is_filled |= (found.provenance >> 30u) != HIT;
+                }
+            }
+        }
+        radiance += share * integral;
     }
     radiance /= f32(shading.directions);
     if RELIT {
@@ -41,9 +78,9 @@ fn glossy(at: Sight, across: Sight, down: Sight, tangent: vec3<f32>, candidates:
     return Shaded(radiance, provenance_of(select(HIT, FILLED, is_filled), named));
 }
 
-fn place(number: u32) -> vec2<f32> {
-    let x = (number + 1u) * 3242174889u;
-    let y = (number + 1u) * 2447445413u;
+fn place(number: u32, own: u32) -> vec2<f32> {
+    let x = (number + 1u) * 3242174889u + own * 2654435769u;
+    let y = (number + 1u) * 2447445413u + own * 3367900313u;
     return vec2(f32(x >> 8u), f32(y >> 8u)) / 16777216.0;
 }
 

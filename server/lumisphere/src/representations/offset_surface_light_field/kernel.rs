@@ -3,6 +3,7 @@
 mod ahead;
 mod frame;
 mod light;
+mod table;
 mod tree;
 
 use std::collections::HashMap;
@@ -13,9 +14,10 @@ use rayon::prelude::*;
 
 use super::coarse::{Coarse, with_levels};
 use super::relight::LightTables;
-use super::{Blend, Component, Filter, Gloss, OffsetSurfaceLightField, Settings};
+use super::{Blend, Component, Filter, Gloss, GlossBrdf, OffsetSurfaceLightField, Settings};
+use crate::directions::FACES;
 use crate::gpu::{Atlas, AtlasShape, Gpu, GpuCacheStats, GpuError, ReadBack, Shader, binding, storage_buffer, value_buffer};
-use crate::radiometry::brdf::BrdfUniform;
+use crate::radiometry::brdf::{BrdfUniform, Measured};
 use crate::radiometry::dielectric::Body;
 use crate::representations::frame_output::{BAND_BYTES, BYTES_PER_PIXEL, BoundBand, MAX_BAND_PIXELS};
 use crate::representations::g_buffer::{ProxyGeometry, Rasterizer, band_entries};
@@ -24,6 +26,7 @@ use crate::representations::{FrameRequest, GpuFrameStats, GpuKernel, Pixels, Ren
 use crate::scenes::MOST_POINT_LIGHTS;
 use crate::textures::{Page, PageId, PixelFormat, PolicyKind};
 use light::LightTextures;
+use table::TableTexture;
 use tree::TreeTexture;
 
 /// All of `kernel.wgsl`'s source.
@@ -94,6 +97,9 @@ pub(crate) struct PointLightUniform {
 const BLOCK_ROWS: u32 = 16;
 const MOST_BLOCKS: u32 = 32;
 
+// All faces of four sample points' cube maps.
+const PAGES_OF_A_PIXEL: usize = 4 * FACES;
+
 /// One dataset on the device.
 pub(crate) struct Kernel {
     gpu: Arc<Gpu>,
@@ -109,6 +115,7 @@ pub(crate) struct Kernel {
     light_tables: LightTables,
     light_textures: LightTextures,
     tree: TreeTexture,
+    table: TableTexture,
     sample_points: wgpu::Buffer,
     sample_maps: wgpu::Buffer,
     touched: wgpu::Buffer,
@@ -127,8 +134,8 @@ pub(crate) struct Kernel {
     earlier: GpuCacheStats,
 }
 
-// Component, blend, BRDF, textures of the atlas, whether reads are filtered, whether coarse levels stand in, how light is another.
-type PipelineKey = (u32, u32, u32, usize, bool, bool, (bool, bool));
+// Component, blend, BRDF and order, textures of the atlas, whether reads are filtered, whether coarse levels stand in, how light is another.
+type PipelineKey = (u32, u32, (u32, bool), usize, bool, bool, (bool, bool));
 
 struct BoundAtlas {
     atlas: Atlas,
@@ -161,7 +168,7 @@ impl Kernel {
             binding::read_buffer(8),
         ];
         let [a, b, c, d] = [0, 1, 2, 3].map(binding::texture_array);
-        let atlas_entries = [a, b, c, d, binding::texture(4), binding::texture(5), binding::texture(6)];
+        let atlas_entries = [a, b, c, d, binding::texture(4), binding::texture(5), binding::texture(6), binding::texture(7)];
         let none = wgpu::BufferUsages::empty();
         let positions: Vec<[f32; 4]> = field.sample_points.iter().map(|p| p.position.extend(0.0).into()).collect();
         // On little-endian machines, the only ones there are graphics drivers for, four u16 are the two words that WGSL unpacks.
@@ -177,6 +184,7 @@ impl Kernel {
             light_tables: LightTables::default(),
             light_textures: LightTextures::none(&gpu),
             tree: TreeTexture::none(&gpu),
+            table: TableTexture::none(&gpu),
             sample_points: storage_buffer(&gpu, "sample points", &positions, none),
             sample_maps: storage_buffer(&gpu, "sample maps", &maps, none),
             touched: storage_buffer(&gpu, "touched", &touched_words, wgpu::BufferUsages::COPY_SRC),
@@ -235,15 +243,36 @@ impl Kernel {
     // Everything but the atlas and what a frame has not needed yet.
     fn fixed_bytes(&self) -> u64 {
         let buffers = [&self.sample_points, &self.sample_maps, &self.touched, self.touched_read_back.buffer()];
-        let held =
-            self.rasterizer.bytes() + self.light_textures.bytes() + self.tree.bytes() + buffers.iter().map(|b| b.size()).sum::<u64>();
-        held + BAND_BYTES
+        // Tables of other light are kept in ordinary memory, too, and leave with the rest.
+        let light = self.light_textures.bytes() + self.light_tables.bytes();
+        self.rasterizer.bytes()
+            + light
+            + self.tree.bytes()
+            + self.table.bytes()
+            + buffers.iter().map(|b| b.size()).sum::<u64>()
+            + BAND_BYTES
     }
 
-    // Whether so much more can be held beside pages.
-    fn check_room(&self, what: &'static str, more_bytes: u64) -> Result<(), GpuError> {
-        let (needed_bytes, budget_bytes) = (self.fixed_bytes() + more_bytes, self.budget_bytes);
-        if needed_bytes < budget_bytes { Ok(()) } else { Err(GpuError::OverBudget { what, needed_bytes, budget_bytes }) }
+    // Whether so much more can be held and leave room for the pages that any pixel may want: what stays is there in the way of every later
+    // frame, those that have no use for it included.
+    fn check_room(&self, what: &'static str, more_bytes: u64, pages: &CountingSource<'_>) -> Result<(), RenderError> {
+        let pixel = match &self.atlas {
+            Some(bound) => bound.shape.pixel,
+            None => pages.page(PageId(0))?.shape().pixel,
+        };
+        let (beside, budget_bytes) = (self.fixed_bytes() + more_bytes, self.budget_bytes);
+        let page_bytes = self.plan(pixel, 0).1.page_bytes();
+        let is_room = |bytes| {
+            let (_, shape) = self.plan(pixel, bytes);
+            shape.capacity(&self.gpu, bytes) >= PAGES_OF_A_PIXEL.min(shape.page_count)
+        };
+        let left = budget_bytes.saturating_sub(beside);
+        if budget_bytes > beside && is_room(left) {
+            return Ok(());
+        }
+        // Page by page: layers are filled by whole rows of them.
+        let needed = (1..).map(|pages| left + pages * page_bytes).find(|bytes| is_room(*bytes)).unwrap_or(u64::MAX);
+        Err(GpuError::OverBudget { what, needed_bytes: beside.saturating_add(needed), budget_bytes }.into())
     }
 
     fn atlas_budget(&self) -> Result<u64, GpuError> {
@@ -292,7 +321,7 @@ impl Kernel {
             .views()
             .iter()
             .chain(self.light_textures.views())
-            .chain([self.tree.view()])
+            .chain([self.tree.view(), self.table.view()])
             .map(wgpu::BindingResource::TextureView)
             .collect();
         self.shader.bind(&self.gpu, 2, &views)
@@ -312,7 +341,7 @@ impl Kernel {
     fn pipeline(&mut self, settings: &Settings, stand_in: bool) -> PipelineKey {
         let textures = self.atlas.as_ref().map_or(1, |a| a.atlas.texture_count());
         let filtered = settings.filter == Filter::Footprint;
-        let brdf = gloss(settings.component).map_or(0, |gloss| gloss.brdf.number());
+        let brdf = gloss(settings.component).map_or((0, false), |gloss| (brdf_number(gloss.brdf), gloss.integrates_first(settings.blend)));
         let key = (
             component_number(settings.component),
             blend_number(settings),
@@ -325,7 +354,8 @@ impl Kernel {
         let constants = [
             ("COMPONENT", f64::from(key.0)),
             ("BLEND", f64::from(key.1)),
-            ("BRDF_MODEL", f64::from(key.2)),
+            ("BRDF_MODEL", f64::from(key.2.0)),
+            ("INTEGRATES_FIRST", f64::from(u8::from(key.2.1))),
             ("ATLAS_TEXTURES", textures as f64),
             ("FILTERED", f64::from(u8::from(filtered))),
             ("STAND_IN", f64::from(u8::from(stand_in))),
@@ -405,6 +435,13 @@ fn gloss(component: Component) -> Option<Gloss> {
     match component {
         Component::Glossy(gloss) => Some(gloss),
         Component::Reconstruction | Component::Mirror | Component::Full | Component::Refraction(_) => None,
+    }
+}
+
+fn brdf_number(brdf: GlossBrdf) -> u32 {
+    match brdf {
+        GlossBrdf::Analytic(brdf) => brdf.number(),
+        GlossBrdf::Measured(_) => Measured::NUMBER,
     }
 }
 

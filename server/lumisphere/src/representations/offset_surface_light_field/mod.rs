@@ -6,7 +6,7 @@
 //! - mirror: `r = 2 n (n·v) − v`, `ŝⱼ = normalize(pⱼ − x)`, `L(x, v) = Σⱼ βⱼ Lᵢ(pⱼ; r)`, `Σⱼ βⱼ = 1`, βⱼ by [`Blend`];
 //! - mirror, depth-corrected: `Σⱼ βⱼ Lᵢ(pⱼ; x + t·r − pⱼ)`, t where the ray meets a surface by the stored distances (`corrected.rs`);
 //! - full: `reconstruction + C_s · mirror`;
-//! - glossy: `∫ f_r(v, l) Σⱼ βⱼ Lᵢ(pⱼ; l) (n·l) dl` by Monte Carlo, for any analytic BRDF (`gloss.rs`);
+//! - glossy: `∫ f_r(v, l) Σⱼ βⱼ Lᵢ(pⱼ; l) (n·l) dl` by Monte Carlo, for any BRDF, in either order (`gloss.rs`);
 //! - as a clear body: the mirror's radiance and that toward which a ray leaves the body, weighted by Fresnel's equations (`refraction.rs`);
 //! - in other light: the environment turned, point lights added (`relight.rs`);
 //! - baseline: one environment map at the object's centre, taken without the object, read with r.
@@ -44,13 +44,13 @@ use crate::capture::{Background, SurfaceMesh};
 use crate::directions::{DirectionDifferential, FACES, PyramidLevel, Taps, Texel};
 #[cfg(feature = "gpu")]
 use crate::gpu::{Gpu, GpuError};
-use crate::radiometry::brdf::AnalyticBrdf;
+use crate::radiometry::brdf::{AnalyticBrdf, BrdfModel, Measured};
 use crate::radiometry::dielectric::Dielectric;
 #[cfg(feature = "gpu")]
 use crate::representations::GpuKernel;
 use crate::representations::{Captured, CpuKernel, Kind, RenderError, Representation};
 use crate::scenes::Relighting;
-use crate::textures::{PageId, PageShape};
+use crate::textures::{ContentHash, PageId, PageShape};
 
 pub use construct::{ConstructError, ConstructSettings, construct};
 #[cfg(all(test, feature = "gpu"))]
@@ -173,7 +173,9 @@ pub enum Component {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Gloss {
     /// Its diffuse part included.
-    pub brdf: AnalyticBrdf,
+    pub brdf: GlossBrdf,
+    /// In which order sample points are blended and directions summed.
+    pub order: Order,
     /// Directions drawn from it, 1 to [`MOST_DIRECTIONS`], and at most [`MOST_DIRECTIONS_PER_FRAME`] for all pixels.
     pub directions: u32,
     /// Which pass of a still, 0 to [`MOST_PASSES`] − 1; 0 for a frame that is shown alone. The mean of passes 0 … P − 1
@@ -181,10 +183,80 @@ pub struct Gloss {
     pub pass: u32,
 }
 
+/// By which BRDF a glossy frame is lit.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum GlossBrdf {
+    /// By a few numbers.
+    Analytic(AnalyticBrdf),
+    /// By MERL's table with this hash, which comes with the request ([`FrameRequest::table`](crate::representations::FrameRequest::table)).
+    Measured(ContentHash),
+}
+
+/// The two orders of the double sum over sample points and directions. They have one limit where the weights βⱼ do not depend on the direction.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Order {
+    /// For each direction the sample points' light is blended, by weights for that direction (the thesis' method 2): M directions, each read at every
+    /// sample point that weighs anything.
+    BlendFirst,
+    /// At each sample point that weighs anything M directions of its own are summed, then the sums blended, by weights for the mirror direction (method
+    /// 1): up to four times as many directions with as many reads. Of `Corrected`, whose weights are a direction's own, and of the one environment map
+    /// as [`Self::BlendFirst`].
+    IntegrateFirst,
+}
+
+impl Order {
+    /// On the command line and in reports.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::BlendFirst => "blend-first",
+            Self::IntegrateFirst => "integrate-first",
+        }
+    }
+}
+
 impl Gloss {
+    /// The first pass, sample points blended direction by direction.
+    pub fn of(brdf: impl Into<GlossBrdf>, directions: u32) -> Self {
+        Self { brdf: brdf.into(), order: Order::BlendFirst, directions, pass: 0 }
+    }
+
     /// Number of its first direction in the sequence that all passes share.
     fn first_direction(&self) -> u32 {
         self.pass * self.directions
+    }
+
+    /// Whether with this blend sample points are integrated one by one.
+    fn integrates_first(&self, blend: Blend) -> bool {
+        match blend {
+            Blend::Corrected | Blend::EnvironmentMap => false,
+            Blend::Distance | Blend::Angle | Blend::Average | Blend::Reflection { .. } | Blend::Normal { .. } => {
+                self.order == Order::IntegrateFirst
+            }
+        }
+    }
+}
+
+impl From<AnalyticBrdf> for GlossBrdf {
+    fn from(brdf: AnalyticBrdf) -> Self {
+        Self::Analytic(brdf)
+    }
+}
+
+impl GlossBrdf {
+    /// Itself, for which `table` was given if it is measured; None if none was.
+    pub fn model(self, table: Option<&Arc<Measured>>) -> Option<BrdfModel> {
+        match self {
+            Self::Analytic(brdf) => Some(brdf.into()),
+            Self::Measured(_) => table.cloned().map(BrdfModel::Measured),
+        }
+    }
+
+    /// Of the table that it needs.
+    pub fn table(self) -> Option<ContentHash> {
+        match self {
+            Self::Analytic(_) => None,
+            Self::Measured(hash) => Some(hash),
+        }
     }
 }
 
@@ -227,6 +299,17 @@ pub struct Settings {
     pub filter: Filter,
     /// In which light.
     pub light: Relighting,
+}
+
+impl Settings {
+    /// In which order light is blended and summed, where it is summed over directions.
+    pub fn order(&self) -> Option<Order> {
+        match self.component {
+            Component::Glossy(gloss) if gloss.integrates_first(self.blend) => Some(Order::IntegrateFirst),
+            Component::Glossy(_) => Some(Order::BlendFirst),
+            Component::Reconstruction | Component::Mirror | Component::Full | Component::Refraction(_) => None,
+        }
+    }
 }
 
 /// What of a cube map a pixel reads.

@@ -13,6 +13,7 @@ use super::shade::{ReadCube, shade_object};
 use super::{Component, OffsetSurfaceLightField, Settings};
 use crate::directions::{Footprint, Texel, bilinear_footprint};
 use crate::geometry::Camera;
+use crate::radiometry::brdf::Measured;
 use crate::raytrace::Stack;
 use crate::representations::buckets::{PixelResult, render_in_buckets};
 use crate::representations::g_buffer::{GBufferPixel, GBufferTracer, ProxyGeometry, Seen};
@@ -36,10 +37,10 @@ impl Reference {
     }
 
     /// What frames with these settings read beside cube maps.
-    pub fn asides(&self, settings: &Settings, pages: &CountingSource<'_>) -> Result<Asides, RenderError> {
+    pub fn asides(&self, settings: &Settings, table: Option<&Arc<Measured>>, pages: &CountingSource<'_>) -> Result<Asides, RenderError> {
         let make_tree = || Arc::new(ObjectTree::new(self.geometry.clone()));
         let tree = matches!(settings.component, Component::Refraction(_)).then(|| self.tree.get_or_init(make_tree).clone());
-        Ok(Asides { lit: self.light.lit(&self.field, settings, pages)?, tree })
+        Ok(Asides { lit: self.light.lit(&self.field, settings, pages)?, tree, table: table.cloned() })
     }
 
     /// What every pixel sees.
@@ -82,7 +83,7 @@ impl CpuKernel for Reference {
             return Err(RenderError::OtherKind { settings: request.settings.kind() });
         };
         let touched = PagesTouched::new(self.field.page_count());
-        let asides = self.asides(settings, pages)?;
+        let asides = self.asides(settings, request.table, pages)?;
         let start = || (Stack::new(), PagedCubes::new(&self.field, pages, &touched, asides.clone()));
         let mut frame = render_in_buckets(request, start, |(stack, cubes), i, j| {
             let pixel = self.tracer.pixel(request.camera, i, j, stack);
@@ -104,6 +105,8 @@ pub(super) struct Asides {
     pub lit: Option<Arc<Lit>>,
     /// Where rays go through the object.
     pub tree: Option<Arc<ObjectTree>>,
+    /// Where the surface reflects as a measured one.
+    pub table: Option<Arc<Measured>>,
 }
 
 /// Which pages a frame has read.
@@ -202,6 +205,10 @@ impl ReadCube for PagedCubes<'_> {
 
     fn tree(&self) -> Option<Arc<ObjectTree>> {
         self.asides.tree.clone()
+    }
+
+    fn table(&self) -> Option<Arc<Measured>> {
+        self.asides.table.clone()
     }
 
     fn field(&self) -> &OffsetSurfaceLightField {

@@ -85,6 +85,15 @@ impl EnvironmentCube {
         cube
     }
 
+    /// Texels that such a field's has.
+    #[cfg(feature = "gpu")]
+    fn texel_count(field: &OffsetSurfaceLightField) -> usize {
+        let base = u32::from(field.parameters.face_size_texels > MOST_TEXELS);
+        let size = field.level_size(base);
+        let levels = (field.parameters.coarser_levels + 1).saturating_sub(base).max(1);
+        2 * FACES * (size - (size >> levels)) as usize * size as usize
+    }
+
     /// Rows before a level: sizes halve exactly.
     fn first_row(&self, level: u32) -> u32 {
         2 * FACES as u32 * (self.size - (self.size >> level))
@@ -236,6 +245,18 @@ pub(super) struct LightTables {
     shown: Mutex<Option<(Relighting, Arc<Vec<StoredAndShown>>)>>,
 }
 
+/// What a sample point takes: irradiances as stored, of what is near, and as shown twice, while one turn replaces another; and its shares.
+#[cfg(feature = "gpu")]
+const BYTES_OF_A_POINT: usize = 2 * size_of::<VectorIrradiance>() + 2 * size_of::<StoredAndShown>() + DIRECTIONS;
+
+/// Only what is diffuse is changed as a whole.
+fn needs_irradiance(settings: &Settings) -> bool {
+    match settings.component {
+        Component::Reconstruction | Component::Full => true,
+        Component::Mirror | Component::Glossy(_) | Component::Refraction(_) => false,
+    }
+}
+
 /// How a frame is lit.
 #[derive(Debug, Clone)]
 pub(super) struct Lit {
@@ -246,6 +267,28 @@ pub(super) struct Lit {
 }
 
 impl LightTables {
+    /// Texels of the environment's cube map and sample points whose irradiance is needed, for a frame with these settings.
+    #[cfg(feature = "gpu")]
+    pub fn texels(field: &OffsetSurfaceLightField, settings: &Settings) -> (usize, usize) {
+        let irradiances = if needs_irradiance(settings) { field.sample_points.len() } else { 0 };
+        (EnvironmentCube::texel_count(field), irradiances)
+    }
+
+    /// At most, in memory, once such a frame was made ready.
+    #[cfg(feature = "gpu")]
+    pub fn bytes_for(field: &OffsetSurfaceLightField, settings: &Settings) -> u64 {
+        let (environment, irradiances) = Self::texels(field, settings);
+        (environment * size_of::<Vec3>() + irradiances * BYTES_OF_A_POINT) as u64
+    }
+
+    /// In memory.
+    #[cfg(feature = "gpu")]
+    pub fn bytes(&self) -> u64 {
+        let environment = self.environment.get().map_or(0, |environment| environment.texels.len());
+        let irradiances = self.irradiance.get().map_or(0, |irradiance| irradiance.stored.len());
+        (environment * size_of::<Vec3>() + irradiances * BYTES_OF_A_POINT) as u64
+    }
+
     /// For a frame with these settings; None where its light is as stored.
     pub fn lit(
         &self,
@@ -261,9 +304,9 @@ impl LightTables {
             return Err(RenderError::NoSkyShares);
         }
         let environment = self.environment.get_or_init(|| Arc::new(EnvironmentCube::new(&field.background.environment, field))).clone();
-        let irradiance = match settings.component {
-            Component::Reconstruction | Component::Full => self.irradiance(field, &light, &environment, pages)?,
-            Component::Mirror | Component::Glossy(_) | Component::Refraction(_) => Arc::default(),
+        let irradiance = match needs_irradiance(settings) {
+            true => self.irradiance(field, &light, &environment, pages)?,
+            false => Arc::default(),
         };
         Ok(Some(Arc::new(Lit { light, environment, irradiance })))
     }

@@ -15,6 +15,7 @@ use super::relight::{Lit, relit};
 use super::{Blend, Component, Filter, NO_SAMPLE, OffsetSurfaceLightField, RUNTIME_HORIZON_DEG, Settings};
 use crate::directions::{DirectionDifferential, PyramidLevel};
 use crate::geometry::Camera;
+use crate::radiometry::brdf::Measured;
 use crate::representations::RenderError;
 use crate::representations::g_buffer::{GBufferPixel, Seen};
 use crate::representations::provenance::{Answer, Provenance};
@@ -34,6 +35,11 @@ pub(super) trait ReadCube {
 
     /// The object's triangles, where rays inside it are followed.
     fn tree(&self) -> Option<Arc<ObjectTree>> {
+        None
+    }
+
+    /// The measured BRDF of glossy frames.
+    fn table(&self) -> Option<Arc<Measured>> {
         None
     }
 

@@ -59,7 +59,7 @@ fn reconstruction() -> Settings {
 
 fn frame_of(field: OffsetSurfaceLightField, pages: &MemoryPages, camera: &Camera, settings: Settings) -> Result<Frame, RenderError> {
     let settings = AnySettings::OffsetSurfaceLightField(settings);
-    let request = FrameRequest { camera, settings: &settings, outputs: EVERYTHING, refine: Refine::Whole };
+    let request = FrameRequest { camera, settings: &settings, outputs: EVERYTHING, refine: Refine::Whole, table: None };
     let field: Arc<dyn crate::representations::Representation> = Arc::new(field);
     Renderer::cpu_only().render(&field, pages, &request, Some(Backend::Cpu))
 }

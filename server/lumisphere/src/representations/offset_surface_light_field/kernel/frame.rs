@@ -13,7 +13,7 @@ use std::time::Instant;
 use rayon::prelude::*;
 
 use super::super::coarse::with_levels_of_a_face;
-use super::super::{Blend, Component, Settings};
+use super::super::{Blend, Component, GlossBrdf, Settings};
 use super::{BoundAtlas, Kernel, ShadingUniform};
 use crate::gpu::{Gpu, GpuError, Upload, conform};
 use crate::representations::frame_output::{self, FrameOutput};
@@ -73,7 +73,8 @@ impl Kernel {
         };
         let bands = frame_output::bands(&self.gpu, request.camera)?;
         self.ensure_light(settings, pages)?;
-        self.ensure_tree(settings)?;
+        self.ensure_tree(settings, pages)?;
+        self.ensure_table(request, settings, pages)?;
         self.ensure_atlas(pages)?;
         let bound = self.atlas.as_mut().expect("made above");
         let (atlas, stands_in) = (&mut bound.atlas, bound.coarse.exists());
@@ -191,8 +192,12 @@ impl Kernel {
         let (coarse, shape) = self.atlas.as_ref().map(|bound| (bound.coarse, bound.shape)).expect("made before");
         self.stamp = self.stamp.wrapping_add(1).max(1);
         let gloss = super::gloss(settings.component);
-        if let Some(gloss) = gloss {
-            self.gpu.queue().write_buffer(&self.gloss, 0, bytemuck::bytes_of(&gloss.brdf.uniform()));
+        let numbers = gloss.and_then(|gloss| match gloss.brdf {
+            GlossBrdf::Analytic(brdf) => Some(brdf.uniform()),
+            GlossBrdf::Measured(_) => self.table.uniform(),
+        });
+        if let Some(numbers) = numbers {
+            self.gpu.queue().write_buffer(&self.gloss, 0, bytemuck::bytes_of(&numbers));
         }
         self.write_light(settings);
         let refraction = match settings.component {

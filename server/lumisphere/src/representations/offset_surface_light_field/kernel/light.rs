@@ -3,7 +3,7 @@
 use bytemuck::bytes_of;
 
 use super::super::Settings;
-use super::super::relight::{EnvironmentCube, StoredAndShown};
+use super::super::relight::{EnvironmentCube, LightTables, StoredAndShown};
 use super::{Kernel, LightUniform, PointLightUniform};
 use crate::gpu::{Gpu, GpuError, float_texture};
 use crate::representations::RenderError;
@@ -87,22 +87,30 @@ impl Kernel {
 
     /// Makes what such a frame needs. What is made counts in the budget: where pages leave it no room they are forgotten.
     pub(super) fn ensure_light(&mut self, settings: &Settings, pages: &CountingSource<'_>) -> Result<(), RenderError> {
+        if !settings.light.changes_light() {
+            return Ok(());
+        }
+        let before = self.light_textures.bytes() + self.light_tables.bytes();
+        let (environment, irradiances) = LightTables::texels(&self.field, settings);
+        let needed = LightTables::bytes_for(&self.field, settings)
+            + TEXEL_BYTES * environment as u64
+            + if irradiances > 0 { TEXEL_BYTES * texels_of(irradiances) as u64 } else { 0 };
+        if needed > before {
+            self.check_room("tables of other light", needed - before, pages)?;
+        }
         let Some(lit) = self.light_tables.lit(&self.field, settings, pages)? else { return Ok(()) };
         let turn = settings.light.environment_turn().to_bits();
         let needs_irradiance = !lit.irradiance.is_empty() && self.light_textures.shown != Some(turn);
         if self.light_textures.has_environment && !needs_irradiance {
             return Ok(());
         }
-        let before = self.light_textures.bytes();
         if !self.light_textures.has_environment {
-            self.check_room("the environment's cube map", TEXEL_BYTES * lit.environment.texels.len() as u64)?;
             self.light_textures.set_environment(&self.gpu, &lit.environment)?;
         }
         if needs_irradiance {
-            self.check_room("irradiances", TEXEL_BYTES * texels_of(lit.irradiance.len()) as u64)?;
             self.light_textures.set_irradiances(&self.gpu, &lit.irradiance, turn);
         }
-        self.rebind(self.light_textures.bytes() > before);
+        self.rebind(self.light_textures.bytes() + self.light_tables.bytes() > before);
         Ok(())
     }
 

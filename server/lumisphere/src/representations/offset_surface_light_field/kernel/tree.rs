@@ -7,7 +7,9 @@ use super::super::{Component, Settings};
 use super::Kernel;
 use super::light::view;
 use crate::gpu::{Gpu, GpuError, float_texture};
+use crate::representations::RenderError;
 use crate::representations::g_buffer::ProxyGeometry;
+use crate::representations::page_source::CountingSource;
 
 /// Nodes and packets, or a texel that is never read.
 pub(super) struct TreeTexture {
@@ -49,13 +51,13 @@ impl TreeTexture {
 
 impl Kernel {
     /// Makes what such a frame needs. What is made counts in the budget.
-    pub(super) fn ensure_tree(&mut self, settings: &Settings) -> Result<(), GpuError> {
+    pub(super) fn ensure_tree(&mut self, settings: &Settings, pages: &CountingSource<'_>) -> Result<(), RenderError> {
         if !matches!(settings.component, Component::Refraction(_)) || self.tree.first_packet.is_some() {
             return Ok(());
         }
         let room = self.budget_bytes.saturating_sub(self.fixed_bytes());
         if let Some((_, error)) = self.tree.refused.as_ref().filter(|(tried, _)| room <= *tried) {
-            return Err(error.clone());
+            return Err(error.clone().into());
         }
         let limit = u64::from(self.gpu.device().limits().max_texture_dimension_2d);
         let too_large = |needed| GpuError::BeyondLimit { what: "height of the object's tree in texels", needed, limit };
@@ -65,10 +67,12 @@ impl Kernel {
         let (mut texels, first_packet) = tree.bvh.as_vectors().ok_or(too_large(u64::MAX))?;
         let rows = texels.len().div_ceil(WIDTH).max(1);
         if rows as u64 > limit {
-            return Err(too_large(rows as u64));
+            return Err(too_large(rows as u64).into());
         }
-        if let Err(error) = self.check_room("the object's tree", 16 * (rows * WIDTH) as u64) {
-            self.tree.refused = Some((room, error.clone()));
+        if let Err(error) = self.check_room("the object's tree", 16 * (rows * WIDTH) as u64, pages) {
+            if let RenderError::Gpu(error) = &error {
+                self.tree.refused = Some((room, error.clone()));
+            }
             return Err(error);
         }
         texels.resize(rows * WIDTH, [0.0; 4]);

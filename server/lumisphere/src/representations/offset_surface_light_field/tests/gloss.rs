@@ -10,7 +10,7 @@ use super::{frame_of, mirror};
 use crate::geometry::{TangentFrame, tangent_along_u};
 use crate::radiometry::brdf::{AnalyticBrdf, AshikhminShirley, Brdf, CookTorrance, Lambert};
 use crate::render::Accumulator;
-use crate::representations::offset_surface_light_field::{Blend, Component, Filter, Gloss, OffsetSurfaceLightField, Settings};
+use crate::representations::offset_surface_light_field::{Blend, Component, Filter, Gloss, OffsetSurfaceLightField, Order, Settings};
 use crate::representations::{Answer, Pixels, RenderError, Settings as AnySettings};
 use crate::testdata::golden::assert_golden;
 use crate::textures::{Page, PixelFormat};
@@ -20,7 +20,7 @@ const ORIGIN: Vec3 = Vec3::new(0.5, 0.8, 3.0);
 const SIZE: (u32, u32) = (32, 24);
 
 fn glossy(brdf: AnalyticBrdf, directions: u32) -> Settings {
-    let component = Component::Glossy(Gloss { brdf, directions, pass: 0 });
+    let component = Component::Glossy(Gloss::of(brdf, directions));
     Settings { component, filter: Filter::Footprint, ..mirror(Blend::Normal { exponent: 4.0 }) }
 }
 
@@ -218,4 +218,22 @@ fn more_directions_than_a_frame_may_draw_are_refused() {
     let settings = glossy(cook_torrance(0.1), 4096);
     let refused = frame_of(field, &pages, &camera, settings).unwrap_err();
     assert!(matches!(refused, RenderError::TooManyDirections { pixels: 33_024, directions: 4096, most: 134_217_728 }), "{refused}");
+}
+
+/// Where weights do not depend on the direction, both orders have one limit. On the way there four sample points with directions of their own err less
+/// than with one set for all, which takes as many reads.
+#[test]
+fn both_orders_go_to_one_integral() {
+    let (field, pages) = FINE.build();
+    let brdf = cook_torrance(0.4);
+    let of = |order, directions| {
+        let component = Component::Glossy(Gloss { order, ..Gloss::of(brdf, directions) });
+        shown(&field, &pages, Settings { component, filter: Filter::Bilinear, ..mirror(Blend::Average) })
+    };
+    let limit = of(Order::BlendFirst, 4096);
+    let error = |order, directions| difference(&of(order, directions), &limit).0;
+    let [blended, integrated] = [Order::BlendFirst, Order::IntegrateFirst].map(|order| [12, 48, 1024].map(|n| error(order, n)));
+    println!("blend first {blended:?}, integrate first {integrated:?}");
+    assert!(blended[2] < 0.003 && integrated[2] < 0.003, "{blended:?} {integrated:?}");
+    assert!(integrated[1] < 0.9 * blended[1], "{blended:?} {integrated:?}");
 }

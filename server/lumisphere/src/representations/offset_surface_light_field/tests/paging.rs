@@ -12,14 +12,16 @@ use super::fixture::{WORLD, World, stored};
 use super::{EVERYTHING, mirror};
 use crate::directions::{Texel, bilinear_footprint};
 use crate::geometry::Camera;
-use crate::gpu::{GpuCacheStats, test_gpu};
+use crate::gpu::{GpuCacheStats, GpuError, test_gpu};
 use crate::images::{Tolerance, count_beyond};
+use crate::radiometry::dielectric::{Body, Dielectric};
 use crate::render::{Backend, Renderer};
-use crate::representations::offset_surface_light_field::{Blend, Filter, OffsetSurfaceLightField, Settings};
+use crate::representations::offset_surface_light_field::{Blend, Component, Filter, OffsetSurfaceLightField, Settings};
 use crate::representations::{
     CachedPages, CountingSource, FrameRequest, GpuFrameStats, GpuKernel, PageSource, Pixels, Refine, RenderError, Representation,
     Settings as AnySettings, UploadUnit,
 };
+use crate::scenes::Relighting;
 use crate::textures::{Cache, CacheOptions, Page, PageId, PolicyKind};
 
 const BUDGET: u64 = 256 << 20;
@@ -54,7 +56,7 @@ impl Scene {
 
     fn draw(&mut self, camera: &Camera, refine: Refine) -> Result<(Pixels, GpuFrameStats), RenderError> {
         let settings = self.settings();
-        let request = FrameRequest { camera, settings: &settings, outputs: EVERYTHING, refine };
+        let request = FrameRequest { camera, settings: &settings, outputs: EVERYTHING, refine, table: None };
         let drawn = self.kernel.render(&request, &CountingSource::new(self.pages.as_ref()))?;
         let stats = self.kernel.stats();
         assert_eq!(stats.look_ups, stats.hits + stats.misses);
@@ -69,7 +71,7 @@ impl Scene {
 
     fn missed_ahead(&mut self, camera: &Camera, upload_bytes: u64) -> Vec<(PageId, Arc<Page>)> {
         let settings = self.settings();
-        let request = FrameRequest { camera, settings: &settings, outputs: EVERYTHING, refine: Refine::Whole };
+        let request = FrameRequest { camera, settings: &settings, outputs: EVERYTHING, refine: Refine::Whole, table: None };
         let ahead = self.kernel.look_ahead(&request, upload_bytes).unwrap();
         ahead.into_iter().map(|page| (page, self.pages.page(page).unwrap().page)).collect()
     }
@@ -350,7 +352,7 @@ fn counters_of_versions_that_displace_each_other_make_those_of_the_tier() {
     // As large as what is drawn at once: it takes all that any frame takes beside its pages.
     let camera = &WORLD.camera(3.0 * Vec3::Z, Vec3::ZERO, 720, 720);
     let draw = |which: usize| {
-        let request = FrameRequest { camera, settings: &settings, outputs: EVERYTHING, refine: Refine::Whole };
+        let request = FrameRequest { camera, settings: &settings, outputs: EVERYTHING, refine: Refine::Whole, table: None };
         let (field, pages) = &datasets[which];
         let frame = renderer.render(field, pages, &request, Some(Backend::Gpu)).unwrap();
         assert_eq!(frame.stats.backend, Backend::Gpu, "{:?}", frame.stats.fallback);
@@ -403,7 +405,7 @@ fn budget_and_policy_change_between_frames_and_the_picture_does_not() {
     let settings = AnySettings::OffsetSurfaceLightField(mirror(Blend::Distance));
     let camera = &orbit(&WORLD, 8)[0];
     let draw = || {
-        let request = FrameRequest { camera, settings: &settings, outputs: EVERYTHING, refine: Refine::Whole };
+        let request = FrameRequest { camera, settings: &settings, outputs: EVERYTHING, refine: Refine::Whole, table: None };
         renderer.render(&field, &pages, &request, None).unwrap()
     };
     let first = draw();
@@ -432,4 +434,38 @@ fn budget_and_policy_change_between_frames_and_the_picture_does_not() {
     assert_eq!(renderer.gpu_stats().unwrap().peak_device_bytes, stats.peak_device_bytes);
     renderer.forget_gpu_peaks();
     assert_eq!(renderer.gpu_stats().unwrap().peak_device_bytes, renderer.gpu_bytes());
+}
+
+#[test]
+fn tables_of_other_light_and_of_clear_bodies_leave_room_for_pages_or_are_not_made() {
+    let Some(mut scene) = Scene::in_memory(&WORLD) else { return };
+    let camera = &orbit(&WORLD, 8)[0];
+    let turned = Relighting::new(1.0, &[]).unwrap();
+    let glass = Component::Refraction(Dielectric::new(1.5, Body::Solid).unwrap());
+    let asking = [
+        Settings { component: Component::Full, light: turned, ..mirror(Blend::Average) },
+        Settings { component: glass, ..mirror(Blend::Average) },
+    ];
+    let (mut made, mut refused) = (0, 0);
+    for (settings, slots) in asking.into_iter().flat_map(|s| [26, 34, 44, 60, 90, 200].map(move |slots| (s, slots))) {
+        let mut kernel = Kernel::new(test_gpu().unwrap(), scene.field.clone(), BUDGET).unwrap();
+        std::mem::swap(&mut kernel, &mut scene.kernel);
+        scene.kernel.set_slots(slots);
+        let settings = AnySettings::OffsetSurfaceLightField(settings);
+        let request = FrameRequest { camera, settings: &settings, outputs: EVERYTHING, refine: Refine::Whole, table: None };
+        match scene.kernel.render(&request, &CountingSource::new(scene.pages.as_ref())) {
+            Ok(_) => made += 1,
+            Err(RenderError::Gpu(GpuError::OverBudget { what, needed_bytes, budget_bytes })) => {
+                assert!(needed_bytes > budget_bytes && what != "one page", "{what}: {needed_bytes} of {budget_bytes}");
+                refused += 1;
+            }
+            Err(error) => panic!("{slots} slots: {error}"),
+        }
+        let stats = scene.kernel.stats();
+        assert!(stats.device_bytes <= scene.kernel.budget(), "{stats:?}");
+        // In the light that is stored there is room as before.
+        scene.blend = Blend::Average;
+        scene.draw(camera, Refine::Whole).unwrap_or_else(|error| panic!("{slots} slots: {error}"));
+    }
+    assert!(made >= 3 && refused >= 3, "{made} made, {refused} refused");
 }

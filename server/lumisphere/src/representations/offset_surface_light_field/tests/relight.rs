@@ -97,7 +97,7 @@ fn a_diffuse_sphere_is_lit_by_the_turned_environment() {
 fn a_point_light_lights_a_diffuse_sphere_and_a_glossy_one_alike() {
     let position = Vec3::new(2.0, 1.0, 1.5);
     let brdf = AnalyticBrdf::Lambert(Lambert::new(ALBEDO).unwrap());
-    let gloss = Component::Glossy(Gloss { brdf, directions: 64, pass: 0 });
+    let gloss = Component::Glossy(Gloss::of(brdf, 64));
     let shown = |component, light| {
         let mut radiance = Vec::new();
         let settings = Settings { component, light, filter: Filter::Footprint, ..mirror(Blend::Normal { exponent: 4.0 }) };
@@ -152,7 +152,7 @@ fn no_light_makes_a_number_that_is_not_finite() {
     let camera = WORLD.camera(ORIGIN, Vec3::ZERO, 32, 24);
     let positions = [Vec3::ZERO, Vec3::Z, Vec3::splat(1e9), Vec3::splat(1e-30), field.sample_points[3].position];
     let brdf = AnalyticBrdf::Lambert(Lambert::new(ALBEDO).unwrap());
-    for component in [Component::Full, Component::Glossy(Gloss { brdf, directions: 2, pass: 0 })] {
+    for component in [Component::Full, Component::Glossy(Gloss::of(brdf, 2))] {
         for position in positions {
             let light = Relighting::new(1e6, &[PointLight { position, intensity: Vec3::splat(1e9) }]).unwrap();
             let frame = frame_of(field.clone(), &pages, &camera, Settings { component, light, ..mirror(Blend::Corrected) }).unwrap();

@@ -180,8 +180,7 @@ fn a_sun_of_a_hundred_thousand() {
     let camera = world.camera(ORIGIN, Vec3::ZERO, 64, 48);
     let colour_of = |settings| frame_of(field.clone(), &pages, &camera, settings).unwrap().pixels;
     let brdf = AnalyticBrdf::CookTorrance(CookTorrance::new(Vec2::splat(0.4), Vec3::ONE, Vec3::ONE).unwrap());
-    let glossy =
-        Settings { component: Component::Glossy(Gloss { brdf, directions: 256, pass: 0 }), filter: Filter::Footprint, ..mirror(NORMAL) };
+    let glossy = Settings { component: Component::Glossy(Gloss::of(brdf, 256)), filter: Filter::Footprint, ..mirror(NORMAL) };
     for settings in [own(NORMAL), own(Blend::Corrected), mirror(NORMAL), mirror(Blend::Corrected), glossy] {
         let pixels = colour_of(settings);
         assert!(pixels.color.iter().all(|c| (0.0..=1.001e5).contains(c)), "{settings:?}");
@@ -208,11 +207,7 @@ fn anisotropy_of_a_thousand_to_one_at_grazing_angles() {
     let ashikhmin = AshikhminShirley::new(Vec3::ZERO, Vec3::ONE, Vec2::new(1e1, 1e4)).unwrap();
     let brushed = CookTorrance::new(Vec2::new(1e-3, 1.0), Vec3::ONE, Vec3::ONE).unwrap();
     for brdf in [AnalyticBrdf::AshikhminShirley(ashikhmin), AnalyticBrdf::CookTorrance(brushed)] {
-        let settings = Settings {
-            component: Component::Glossy(Gloss { brdf, directions: 256, pass: 0 }),
-            filter: Filter::Footprint,
-            ..mirror(NORMAL)
-        };
+        let settings = Settings { component: Component::Glossy(Gloss::of(brdf, 256)), filter: Filter::Footprint, ..mirror(NORMAL) };
         let pixels = frame_of(field.clone(), &pages, &camera, settings).unwrap().pixels;
         let shown = pixels.provenance.unwrap().iter().filter(|p| matches!(p.answer(), Answer::Hit | Answer::Filled)).count();
         let brightest = pixels.color.iter().fold(0f32, |b, c| b.max(*c));

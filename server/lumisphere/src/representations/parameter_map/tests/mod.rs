@@ -27,7 +27,7 @@ const EVERYTHING: Outputs = Outputs { depth: true, provenance: true };
 fn frame_of((map, pages): (ParameterMap, MemoryPages), camera: &Camera, show: Show) -> Result<Frame, RenderError> {
     let settings = AnySettings::ParameterMap(Settings { show });
     let map: Arc<dyn Representation> = Arc::new(map);
-    let request = FrameRequest { camera, settings: &settings, outputs: EVERYTHING, refine: Refine::Whole };
+    let request = FrameRequest { camera, settings: &settings, outputs: EVERYTHING, refine: Refine::Whole, table: None };
     Renderer::cpu_only().render(&map, &pages, &request, Some(Backend::Cpu))
 }
 
