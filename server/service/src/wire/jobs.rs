@@ -951,7 +951,8 @@ mod tests {
         };
         assert!(refused(|s| s.dataset = "../x".into()).starts_with("s.dataset: \"../x\""));
         assert!(refused(|s| s.count = 65).starts_with("s.count: 65"));
-        assert!(refused(|s| s.candidates = "icosahedron:18".into()).starts_with("s.candidates: icosahedron"));
+        let scheme = refused(|s| s.candidates = "icosahedron:18".into());
+        assert!(scheme.starts_with("s.candidates: ") && scheme.contains("17, 73, 289"), "{scheme}");
         assert!(refused(|s| s.candidates = "stratified:4096:0".into()).starts_with("s.candidates: 4096 directions, at most 2600"));
         let twice = refused(|s| (s.candidates, s.both_hemispheres) = ("stratified:2500:0".into(), true));
         assert!(twice.starts_with("s.candidates: 5000"), "{twice}");
