@@ -37,6 +37,13 @@ pub struct SceneFlags {
     pub environment_rotation_deg: f32,
 }
 
+impl SceneFlags {
+    /// A scene as it is.
+    pub fn plain(scene: &str) -> Self {
+        Self { scene: scene.into(), parameters: Vec::new(), environment: None, environment_scale: 1.0, environment_rotation_deg: 0.0 }
+    }
+}
+
 fn parse_pair(text: &str) -> Result<(String, String), String> {
     let (key, value) = text.split_once('=').ok_or("KEY=VALUE expected")?;
     Ok((key.to_string(), value.to_string()))

@@ -68,7 +68,7 @@ pub struct DatasetFile {
 pub struct Job {
     /// Given by the server.
     pub name: String,
-    /// "capture", "evaluate", "path_render" or "thin".
+    /// "capture", "evaluate", "path_render", "thin", "observe", "fit" or "suggest".
     pub kind: &'static str,
     /// Which dataset it writes or reads.
     pub dataset: String,
@@ -397,6 +397,7 @@ impl From<wire::Job> for Job {
             Some(wire::job_spec::Spec::Thin(s)) => ("thin", s.dataset),
             Some(wire::job_spec::Spec::Observe(s)) => ("observe", s.dataset),
             Some(wire::job_spec::Spec::Fit(s)) => ("fit", s.dataset),
+            Some(wire::job_spec::Spec::Suggest(s)) => ("suggest", s.dataset),
             None => ("unknown", String::new()),
         };
         Self {

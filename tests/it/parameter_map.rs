@@ -2,8 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
-use lumisphere::images::{ReadLimits, Rgb8, decode_image, encode_png};
-use serde_json::Value;
+use glam::Vec3;
+use lumisphere::geometry::{Camera, Intrinsics, Pose};
+use lumisphere::images::{ExrStorage, Image, ReadLimits, Rgb8, decode_image, encode_exr_rgb, encode_png};
+use serde_json::{Value, json};
 
 use crate::process::{Server, temporary_folder};
 
@@ -100,6 +102,36 @@ fn what_cannot_be_observed_fitted_or_shown_is_said_by_name() {
     assert!(scheme.contains("icosahedron"), "{scheme}");
 }
 
+#[test]
+fn directions_are_suggested_for_a_map_from_the_observations_that_it_was_fitted_to() {
+    let folder = temporary_folder();
+    let server = Server::start(&folder.path().join("data"));
+    observe(&server, folder.path(), "seen");
+    fit(&server, "seen", "map", "phong:1");
+    let submit = ["job", "submit", "suggest", "--dataset", "map", "--watch", "--quiet"];
+    let job = server.json(&[&submit[..], &["--count", "5", "--candidates", "icosahedron:1249"]].concat());
+    let suggested = &job["result"]["summary"]["suggested"];
+    assert_eq!((&job["kind"], &suggested["candidates"], &suggested["texels"]), (&"suggest".into(), &1249.into(), &256.into()), "{job:#}");
+    let directions = suggested["directions"].as_array().unwrap();
+    assert_eq!(directions.len(), 5);
+    for one in directions {
+        let d = [0, 1, 2].map(|axis| number(&one["direction"][axis]));
+        // The plane faces +Y.
+        assert!(d[1] > 0.0 && (d.iter().map(|c| c * c).sum::<f64>() - 1.0).abs() < 1e-5 && number(&one["gain_nats"]) > 0.0, "{one}");
+    }
+    let text = server.succeed(&[&submit[..], &["--count", "2"]].concat());
+    assert!(text.contains("NATS A TEXEL") && text.lines().count() >= 4, "{text}");
+    assert!(server.json(&["job", "list"])["jobs"][0]["kind"] == "suggest");
+
+    let kind = refused(&server, &["job", "submit", "suggest", "--dataset", "seen"]);
+    assert!(kind.contains(r#""parameter_map" expected"#), "{kind}");
+    let many = refused(&server, &[&submit[..], &["--candidates", "stratified:4096:0"]].concat());
+    assert!(many.contains("spec.suggest.candidates: 4096 directions, at most 2600"), "{many}");
+    server.succeed(&["dataset", "delete", "seen"]);
+    let gone = refused(&server, &submit);
+    assert!(gone.contains("seen"), "{gone}");
+}
+
 /// Photographs of a dull square with a highlight that moves with the light, and their list.
 fn photographs(folder: &Path) -> PathBuf {
     let directions: Vec<[f32; 3]> = (0..24)
@@ -160,4 +192,108 @@ fn photographs_under_a_moving_light_become_a_map_whose_frames_show_the_highlight
     std::fs::write(folder.path().join("1.png"), encode_png(&Rgb8::filled(5, 5, [9; 3])).unwrap()).unwrap();
     let sizes = refused(&server, &[&import[..], &["--watch"]].concat());
     assert!(sizes.contains("1.png has 5x5 pixels, 20x10 expected"), "{sizes}");
+}
+
+/// What the square of `SCENE` is painted with here: red grows with u (x), green with v (−z).
+fn paint(x: f32, z: f32) -> [f32; 3] {
+    let inside = x.abs() <= 0.5 && z.abs() <= 0.5;
+    if inside { [0.7 + x, 0.7 - z, 0.3] } else { [0.0; 3] }
+}
+
+#[test]
+fn photographs_of_an_object_become_a_map_of_it() {
+    let folder = temporary_folder();
+    let server = Server::start(&folder.path().join("data"));
+    let scene = folder.path().join("scene.json");
+    std::fs::write(&scene, SCENE).unwrap();
+    // Cameras in the scene's space, +Y up, and what they see of the painted square.
+    let intrinsics = Intrinsics::from_vfov(30.0, 80, 60).unwrap();
+    let places = [[0.0, 3.0, 0.1], [1.5, 2.5, 0.5], [-1.0, 2.0, 1.5], [0.4, 2.2, -1.8], [-1.6, 2.4, -0.7]];
+    let frames = places.iter().enumerate().map(|(k, place)| {
+        let pose = Pose::look_at(Vec3::from(*place), Vec3::ZERO, Vec3::Y).unwrap();
+        let camera = Camera::new(intrinsics, pose).unwrap();
+        let mut picture = Image::zeros(80, 60, 3);
+        for (i, j) in (0..80 * 60).map(|at| (at % 80, at / 80)) {
+            let ray = camera.pixel_ray(i, j);
+            let at = ray.origin - ray.origin.y / ray.direction.y * ray.direction;
+            picture.set_rgb((j * 80 + i) as usize, paint(at.x, at.z));
+        }
+        let file = format!("{k}.exr");
+        std::fs::write(folder.path().join(&file), encode_exr_rgb(&picture, ExrStorage::Float).unwrap()).unwrap();
+        let columns = [Vec3::X, Vec3::Y, Vec3::Z].map(|axis| pose.world_from_camera_vector(axis));
+        let row = |r: usize| [columns[0][r], columns[1][r], columns[2][r], pose.position()[r]];
+        json!({"file_path": file, "transform_matrix": [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]]})
+    });
+    let frames: Vec<Value> = frames.collect();
+    let (focal, center) = (intrinsics.focal_px, intrinsics.center_px);
+    let list = folder.path().join("transforms.json");
+    let lens = json!({"w": 80, "h": 60, "fl_x": focal.x, "fl_y": focal.y, "cx": center.x, "cy": center.y, "frames": frames});
+    std::fs::write(&list, lens.to_string()).unwrap();
+
+    let import =
+        ["job", "submit", "import", "--photographs", list.to_str().unwrap(), "--dataset", "seen", "--size-texels", "16", "--watch"];
+    let of = |object: &'static str| ["--scene", scene.to_str().unwrap(), "--object", object, "--quiet"].map(String::from);
+    let arguments = |object: &'static str| import.iter().map(|a| a.to_string()).chain(of(object)).collect::<Vec<_>>();
+    let submit = arguments("plane");
+    let seen = server.json(&submit.iter().map(String::as_str).collect::<Vec<_>>());
+    assert_eq!(seen["result"]["summary"]["parameters"]["object"], "plane", "{seen:#}");
+    let fitted = fit(&server, "seen", "map", "constant");
+    assert_eq!(fitted["result"]["summary"]["fit"]["histogram"]["constant"], 256, "{fitted:#}");
+    // A pixel is a twentieth of the square wide, and red changes by 1 along it; at the rim black is mixed in.
+    assert!(number(&fitted["result"]["summary"]["fit"]["median_residual"]) < 0.02, "{fitted:#}");
+
+    let out = folder.path().join("out");
+    let pose = ["--position", "0,3,0.001", "--target", "0,0,0", "--size", "60x60", "--vfov-deg", "20", "--format", "exr"];
+    server.succeed(&[&["render", "--dataset", "map", "--out", out.to_str().unwrap()][..], &pose].concat());
+    let frame = decode_image(&std::fs::read(out.join("frame-00000.exr")).unwrap(), ReadLimits::SCENE).unwrap();
+    // From above, +X right, −Z up: half of the picture's height is 3 · tan 10° = .529.
+    for (x, z) in [(0.3, 0.0), (-0.3, 0.2), (0.0, -0.35)] {
+        let (i, j) = ((30.0 + 30.0 * x / 0.529) as usize, (30.0 + 30.0 * z / 0.529) as usize);
+        let (shown, expected) = (frame.rgb(j * 60 + i), paint(x, z));
+        assert!((0..3).all(|c| (shown[c] - expected[c]).abs() < 0.05), "({x}, {z}): {shown:?}, {expected:?} expected");
+    }
+
+    let other = arguments("pot");
+    let refusal = refused(&server, &other.iter().map(String::as_str).collect::<Vec<_>>());
+    assert!(refusal.contains(r#"no object "pot"; it has floor, plane"#), "{refusal}");
+    let alone = refused(&server, &[&import[..], &["--object", "plane"]].concat());
+    assert!(alone.contains("--scene"), "{alone}");
+}
+
+#[test]
+fn scene_linear_exposures_become_one_photograph() {
+    let folder = temporary_folder();
+    let server = Server::start(&folder.path().join("data"));
+    // A dull and a bright half; a sensor that is full at 1, and an exposure of an eighth beside the whole one.
+    let exposure = |scale: f32| {
+        let mut picture = Image::zeros(20, 10, 3);
+        (0..200).for_each(|at| picture.set_rgb(at, [if at % 20 < 10 { 0.2 } else { 4.0 }; 3].map(|v: f32| (scale * v).min(1.0))));
+        encode_exr_rgb(&picture, ExrStorage::Float).unwrap()
+    };
+    for (file, scale) in [("a.exr", 1.0), ("b.exr", 0.125), ("c.exr", 1.0), ("d.exr", 0.125)] {
+        std::fs::write(folder.path().join(file), exposure(scale)).unwrap();
+    }
+    let list = folder.path().join("list.json");
+    let write = |exposures: &str| {
+        let one = |files: &str, x: f32| format!(r#"{{"files": [{files}], {exposures} "camera": [{x}, 0, 5]}}"#);
+        let photographs = [one(r#""a.exr", "b.exr""#, 0.0), one(r#""c.exr", "d.exr""#, 1.0)].join(", ");
+        let head = r#""format": "lumisphere-photographs/1", "width": 2, "height": 1, "saturation": 1"#;
+        std::fs::write(&list, format!(r#"{{{head}, "photographs": [{photographs}]}}"#)).unwrap();
+    };
+    write(r#""exposures": [1, 0.125],"#);
+    let import = ["job", "submit", "import", "--photographs", list.to_str().unwrap(), "--dataset", "seen", "--size-texels", "20"];
+    let import = [&import[..], &["--watch", "--quiet"]].concat();
+    server.json(&import);
+    let fitted = fit(&server, "seen", "map", "constant");
+    assert_eq!(fitted["result"]["summary"]["fit"]["histogram"]["constant"], 400, "{fitted:#}");
+    let out = folder.path().join("out");
+    let pose = ["--position", "0,0,6", "--target", "0,0,0", "--size", "40x20", "--vfov-deg", "8", "--format", "exr"];
+    server.succeed(&[&["render", "--dataset", "map", "--out", out.to_str().unwrap()][..], &pose].concat());
+    let frame = decode_image(&std::fs::read(out.join("frame-00000.exr")).unwrap(), ReadLimits::SCENE).unwrap();
+    let (dull, bright) = (frame.rgb(10 * 40 + 8)[0], frame.rgb(10 * 40 + 32)[0]);
+    // Frames are half floats.
+    assert!((dull / 0.2 - 1.0).abs() < 0.01 && (bright / 4.0 - 1.0).abs() < 0.01, "{dull} {bright}");
+    write("");
+    let refusal = refused(&server, &import);
+    assert!(refusal.contains("a.exr, b.exr") && refusal.contains(r#"a list with "exposures" expected"#), "{refusal}");
 }

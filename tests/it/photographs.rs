@@ -40,7 +40,8 @@ async fn import(server: &Server, folder: &Path, list: (&str, &str), files: &[(&s
         let blob = server.json(&["blob", "upload", path.to_str().unwrap(), "--quiet"]);
         uploaded.push(wire::SceneFile { path: name.into(), blake3: blob["blake3"].as_str().unwrap().into() });
     }
-    let photographs = wire::PhotographSet { list_path: list.0.into(), files: uploaded, width: size, height: size, response: 0 };
+    let photographs =
+        wire::PhotographSet { list_path: list.0.into(), files: uploaded, width: size, height: size, response: 0, ..Default::default() };
     let observe = wire::ObserveSpec {
         source: Some(wire::observe_spec::Source::Photographs(photographs)),
         dataset: "seen".into(),

@@ -75,10 +75,12 @@ pub enum Submit {
     PathRender(Box<PathRenderArguments>),
     /// See an object of a scene from many directions; publish what was seen, texel by texel, as an observation map
     Observe(Box<ObserveArguments>),
-    /// Resample photographs of a flat surface; publish what they show, texel by texel, as an observation map
+    /// Resample photographs of a flat surface, or of a scene's object; publish what they show, texel by texel, as an observation map
     Import(ImportArguments),
     /// Fit a model to every texel of an observation map, the smallest that explains it; publish them as a parameter map
     Fit(FitArguments),
+    /// Say from which directions a surface should be photographed next, from what a parameter map does not know of it
+    Suggest(SuggestArguments),
     /// Leave out of a dataset what an error bound can do without, and publish the rest as a dataset of its own
     Thin(Box<ThinArguments>),
 }
@@ -282,6 +284,13 @@ pub struct ImportArguments {
     /// Dataset to add a version to; created when there is none
     #[arg(long, value_name = "NAME")]
     dataset: String,
+    /// What the photographed object stands in, in the space of the list's cameras: neutral-scene/1 .json, .glb, .gltf or .obj. Its geometry alone
+    /// matters; the list is a transforms.json or COLMAP's [default: the photographs show a rectangle]
+    #[arg(long, value_name = "FILE|NAME", requires = "object", conflicts_with_all = ["width", "height"])]
+    scene: Option<String>,
+    /// Which object of the scene was photographed
+    #[arg(long, value_name = "NAME", requires = "scene")]
+    object: Option<String>,
     /// Of the surface, in the list's unit [default: as the list says, 1 for an .lp list]
     #[arg(long, value_name = "LENGTH", default_value_t = 0.0, hide_default_value = true)]
     width: f32,
@@ -356,6 +365,31 @@ pub struct FitArguments {
     submit: SubmitFlags,
 }
 
+/// Flags of `submit suggest`.
+#[derive(Debug, Args)]
+pub struct SuggestArguments {
+    /// Dataset of kind parameter_map; the observations that it was fitted to must still be there
+    #[arg(long, value_name = "NAME")]
+    dataset: String,
+    /// Which version of it [default: the latest]
+    #[arg(long, default_value_t = 0, hide_default_value = true)]
+    version: u64,
+    /// How many directions, 1 to 64
+    #[arg(long, value_name = "N", default_value_t = 8)]
+    count: u32,
+    /// Directions to choose from: icosahedron:N (17, 73, 289, 305 or 1249), spiral:N:TURNS, latitude-longitude:A,B,... or stratified:N:SEED
+    #[arg(long, value_name = "SCHEME", default_value = "icosahedron:305")]
+    candidates: Scheme,
+    /// The scheme's zenith [default: the surface's mean normal, 0,1,0 where it faces all ways]
+    #[arg(long, value_name = "X,Y,Z", value_parser = parse_vec3, allow_hyphen_values = true)]
+    axis: Option<[f32; 3]>,
+    /// Also the opposite directions
+    #[arg(long)]
+    both_hemispheres: bool,
+    #[command(flatten)]
+    submit: SubmitFlags,
+}
+
 /// What is bounded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum ThinMetric {
@@ -379,6 +413,7 @@ pub async fn run(command: Command, context: &Context) -> anyhow::Result<()> {
         Command::Submit(Submit::Observe(arguments)) => submit_observe(context, &arguments).await,
         Command::Submit(Submit::Import(arguments)) => submit_import(context, &arguments).await,
         Command::Submit(Submit::Fit(arguments)) => submit_fit(context, &arguments).await,
+        Command::Submit(Submit::Suggest(arguments)) => submit_suggest(context, &arguments).await,
         Command::List => list(context).await,
         Command::Get { name } => {
             let mut client = context.connect().await?.jobs();
@@ -494,12 +529,17 @@ async fn submit_import(context: &Context, arguments: &ImportArguments) -> anyhow
     let packed = photographs::pack(&arguments.photographs)?;
     let server = context.connect().await?;
     let files = scene_source::upload_files(context, &mut server.datasets(), packed.files).await?;
+    let scene = match &arguments.scene {
+        Some(scene) => Some(scene_source::to_wire(context, &mut server.datasets(), &SceneFlags::plain(scene)).await?),
+        None => None,
+    };
+    let object = arguments.object.clone().unwrap_or_default();
     let response = match arguments.response {
         Response::Srgb => wire::photograph_set::Response::Srgb,
         Response::Linear => wire::photograph_set::Response::Linear,
     };
     let (list_path, width, height) = (packed.list_path, arguments.width, arguments.height);
-    let photographs = wire::PhotographSet { list_path, files, width, height, response: response.into() };
+    let photographs = wire::PhotographSet { list_path, files, width, height, response: response.into(), scene, object };
     let spec = wire::ObserveSpec {
         source: Some(wire::observe_spec::Source::Photographs(photographs)),
         dataset: arguments.dataset.clone(),
@@ -530,6 +570,19 @@ async fn submit_fit(context: &Context, arguments: &FitArguments) -> anyhow::Resu
         codec: codec_message(arguments.codec).into(),
     };
     submit_and_tell(context, &server, Spec::Fit(spec), &arguments.submit).await
+}
+
+async fn submit_suggest(context: &Context, arguments: &SuggestArguments) -> anyhow::Result<()> {
+    let server = context.connect().await?;
+    let spec = wire::SuggestSpec {
+        dataset: arguments.dataset.clone(),
+        version: arguments.version,
+        count: given(Some(arguments.count), "count")?,
+        candidates: arguments.candidates.to_string(),
+        axis: arguments.axis.map(|[x, y, z]| wire::Vector3 { x, y, z }),
+        both_hemispheres: arguments.both_hemispheres,
+    };
+    submit_and_tell(context, &server, Spec::Suggest(spec), &arguments.submit).await
 }
 
 /// Zero is the wire's "as the server does by default"; somebody who says 0 means 0, which is never valid.
@@ -627,6 +680,9 @@ fn job_text(job: &views::Job) -> String {
         if let Some(fit) = result.summary.get("fit") {
             text.push_str(&format!("\n{}", fit_text(fit)));
         }
+        if let Some(suggested) = result.summary.get("suggested") {
+            text.push_str(&format!("\n{}", suggested_text(suggested)));
+        }
         if let Some(saved) = result.summary.get("thinning") {
             text.push_str(&format!("\n{}", thinned_text(saved, &result.summary)));
         }
@@ -663,15 +719,36 @@ fn fit_text(fit: &Value) -> String {
             b["texels_reduced"]
         )
     });
+    let shifted = fit.get("registration").filter(|r| r["shifted"].as_u64() != Some(0)).map(shifted_text);
     format!(
-        "models: {}{flagged}; {:.0} texels/s\nresidual: rms {:.5}, median {:.5}, p95 {:.5}{}",
+        "models: {}{flagged}; {:.0} texels/s\nresidual: rms {:.5}, median {:.5}, p95 {:.5}{}{}",
         counts("histogram"),
         number("texels_per_second"),
         number("rms_residual"),
         number("median_residual"),
         number("p95_residual"),
+        shifted.unwrap_or_default(),
         budget.unwrap_or_default()
     )
+}
+
+/// A row a direction, best first.
+fn suggested_text(suggested: &Value) -> String {
+    let number = |value: &Value| value.as_f64().unwrap_or(f64::NAN);
+    let head = ["X", "Y", "Z", "NATS A TEXEL"].map(String::from).to_vec();
+    let row = |one: &Value| {
+        let place = (0..3).map(|axis| format!("{:.4}", number(&one["direction"][axis])));
+        place.chain([format!("{:.3}", number(&one["gain_nats"]))]).collect()
+    };
+    let rows = suggested["directions"].as_array().into_iter().flatten().map(row);
+    table(&std::iter::once(head).chain(rows).collect::<Vec<_>>(), &[0, 1, 2, 3])
+}
+
+/// Photographs that lie beside the others.
+fn shifted_text(registration: &Value) -> String {
+    let one = |s: &Value| format!("{} by {}, {} texels", s["observation"], s["texels"][0], s["texels"][1]);
+    let worst = registration["worst"].as_array().into_iter().flatten().map(one).collect::<Vec<_>>().join("; ");
+    format!("\nmisregistered: {} of {} photographs lie beside the others ({worst})", registration["shifted"], registration["compared"])
 }
 
 /// What thinning left out, and what that did to the error.

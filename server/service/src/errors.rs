@@ -12,7 +12,7 @@ use lumisphere::progress::Cancelled;
 use lumisphere::raytrace::TraceError;
 use lumisphere::render::RenderError;
 use lumisphere::representations::offset_surface_light_field::{ConstructError, ThinningError};
-use lumisphere::representations::parameter_map::FitError;
+use lumisphere::representations::parameter_map::{FitError, SuggestError};
 use lumisphere::scenes::SceneError;
 use lumisphere::textures::StoreError;
 use tonic::{Code, Status};
@@ -239,9 +239,11 @@ impl From<ImportError> for ApiError {
     fn from(error: ImportError) -> Self {
         match error {
             ImportError::Setting { setting, .. } => Self::field(format!("spec.observe.photographs.{setting}"), error),
-            ImportError::Size { .. } | ImportError::Photograph { .. } | ImportError::Behind { .. } => {
+            ImportError::Size { .. } | ImportError::Photograph { .. } | ImportError::Behind { .. } | ImportError::NoCamera { .. } => {
                 Self::field("spec.observe.photographs.files", error)
             }
+            ImportError::UnknownObject { .. } | ImportError::NoTexels { .. } => Self::field("spec.observe.photographs.object", error),
+            ImportError::Trace(error) => error.into(),
             ImportError::Cancelled(error) => error.into(),
             ImportError::Store(error) => error.into(),
             ImportError::Parts(error) => Self::internal(error),
@@ -259,6 +261,18 @@ impl From<FitError> for ApiError {
             FitError::Cancelled(error) => error.into(),
             FitError::Store(error) => error.into(),
             FitError::Parts(error) => Self::internal(error),
+        }
+    }
+}
+
+impl From<SuggestError> for ApiError {
+    fn from(error: SuggestError) -> Self {
+        match error {
+            SuggestError::PageShape { .. } => Self::new(Reason::DataCorrupt, error.to_string()),
+            SuggestError::OtherObservations(_) | SuggestError::NoModels => Self::field("spec.suggest.dataset", error),
+            SuggestError::Setting { .. } => Self::field("spec.suggest", error),
+            SuggestError::Cancelled(error) => error.into(),
+            SuggestError::Store(error) => error.into(),
         }
     }
 }

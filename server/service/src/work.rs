@@ -1,4 +1,4 @@
-//! What jobs do: capture, observe, fit, evaluate, render a path, thin.
+//! What jobs do: capture, observe, fit, suggest, evaluate, render a path, thin.
 
 mod capture;
 mod evaluate;
@@ -6,6 +6,7 @@ mod fit;
 mod observe;
 mod path_render;
 mod publishing;
+mod suggest;
 mod thin;
 mod views;
 
@@ -51,6 +52,7 @@ impl JobBody for Work {
             JobSpec::Thin(spec) => self.thin(&spec, attempt),
             JobSpec::Observe(spec) => self.observe(&spec, attempt),
             JobSpec::Fit(spec) => self.fit(&spec, attempt),
+            JobSpec::Suggest(spec) => self.suggest(&spec, attempt),
         }
     }
 

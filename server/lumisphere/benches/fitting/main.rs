@@ -7,12 +7,14 @@
 //! python3 -m venv target/scipy && target/scipy/bin/pip install scipy==1.17.1 numpy
 //! taskset -c 0 cargo bench -p lumisphere --no-default-features --bench fitting
 //! cargo bench -p lumisphere --no-default-features --bench fitting -- threads
+//! taskset -c 0 cargo bench -p lumisphere --no-default-features --bench fitting -- whole
 //! ```
 //! `CERES_LOBES` and `SCIPY_PYTHON` name the rivals when they lie elsewhere. A missing one fails the benchmark. Times are processor time,
 //! medians of several runs; noise is .005 of full scale.
 
 mod maps;
 mod rivals;
+mod whole;
 
 use std::path::Path;
 use std::time::Instant;
@@ -44,6 +46,9 @@ fn main() {
     }
     if wants("threads") {
         threads();
+    }
+    if wants("whole") {
+        whole::report(&folder);
     }
 }
 

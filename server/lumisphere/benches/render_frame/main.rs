@@ -1,12 +1,14 @@
 //! A 640 × 480 frame of the captured teapot in the gazebo, on the GPU (lavapipe where there is no other) and on the CPU, in milliseconds:
 //! wall clock, the whole process's CPU time a frame (what counts where others use the machine, too), and the GPU's stages.
 //!
-//! `cargo bench -p lumisphere --bench render_frame [-- FACE_SIZE [POINTS]] [gpu | cpu | paging | counting | equal_error] [bilinear]`, by default 128 texels, 300 points and both
+//! `cargo bench -p lumisphere --bench render_frame [-- FACE_SIZE [POINTS]] [gpu | cpu | paging | counting | equal_error | parameter_map] [bilinear]`, by default 128 texels, 300 points and both
 //! backends; `paging` measures uploads under a cap instead, `counting` what the texture cache's counters cost a frame, `bilinear` reads without filtering. The capture (one path a texel: noise costs no time) is kept in `target/render_frame` for the next run.
+//! `parameter_map` draws a plane with models of one kind instead of the teapot.
 //! `equal_error` sets mirror frames beside path-traced ones of the same error instead (a capture of 8 paths a texel, 160 points, unless numbers say otherwise).
 
 mod counting;
 mod equal_error;
+mod parameter_map;
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -38,6 +40,14 @@ fn settings(component: Component, blend: Blend, filter: Filter) -> Settings {
 }
 
 fn main() {
+    if std::env::args().any(|a| a == "parameter_map") {
+        let renderer = Renderer::with_gpu(GPU_BUDGET_BYTES).unwrap_or_else(|e| {
+            println!("{e}: CPU only");
+            Renderer::cpu_only()
+        });
+        println!("adapter: {}", renderer.adapter().unwrap_or_else(|| "none".into()));
+        return parameter_map::report(&root(), &renderer);
+    }
     let mut numbers = std::env::args().skip(1).filter_map(|a| a.parse::<u32>().ok());
     let is_equal_error = std::env::args().any(|a| a == "equal_error");
     let (default_points, paths) = if is_equal_error { (160, 8) } else { (300, 1) };
@@ -309,10 +319,16 @@ fn orbit_at(center: Vec3, radius: f32, turn: f32) -> Camera {
     Camera::new(Intrinsics::from_vfov(45.0, 640, 480).expect("a sensible angle"), pose).expect("a camera")
 }
 
-// The teapot's capture, made on the first run.
-fn captured(face_size: u32, points: u32, samples_per_texel: u32) -> Arc<DatasetVersion> {
+// Emptied by nobody: captures are kept for the next run.
+fn root() -> PathBuf {
     let root = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../target/render_frame");
     std::fs::create_dir_all(&root).expect("a folder under target");
+    root
+}
+
+// The teapot's capture, made on the first run.
+fn captured(face_size: u32, points: u32, samples_per_texel: u32) -> Arc<DatasetVersion> {
+    let root = root();
     let (store, _) = Store::open(&root, StoreOptions::local()).expect("a store");
     let dataset = format!("teapot-levels-{face_size}-{points}-{samples_per_texel}");
     if let Ok(version) = store.open_version(&dataset, None) {

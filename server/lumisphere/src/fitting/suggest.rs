@@ -6,10 +6,12 @@
 //! of a Gaussian process over directions, as wide and high as the lobes that were found. The sum has diminishing returns, so that greedy choice
 //! is within 1 − 1/e of the best set (Nemhauser et al. 1978).
 //!
-//! Where it fails: harmonics count in the second part only; what no sample hints at is only ever sought by spreading. Who calls it: the fit of a
-//! parameter map, once it is done.
+//! Candidates are directions of one space that all texels share; each texel has a frame of its own, and learns nothing from below its horizon.
+//!
+//! Where it fails: harmonics count in the second part only; what no sample hints at is only ever sought by spreading; what stands between a texel
+//! and a candidate is not known here. Who calls it: `representations::parameter_map`, for a map that was fitted.
 
-use glam::DVec3;
+use glam::{DVec3, Mat3, Vec3};
 
 use super::cholesky::Cholesky;
 use super::{LEAST_COSINE, Lobe, Model};
@@ -19,8 +21,10 @@ use super::{LEAST_COSINE, Lobe, Model};
 pub struct KnownTexel<'a> {
     /// Its model.
     pub model: &'a Model,
-    /// Unit directions that it was sampled in.
+    /// Unit directions that it was sampled in, in its own frame.
     pub directions: &'a [[f32; 3]],
+    /// From the space of the candidates into its own frame: a rotation.
+    pub local_from_shared: Mat3,
     /// Standard deviation of a sample, in the samples' unit: what the model leaves; above 0.
     pub noise: f32,
 }
@@ -44,28 +48,37 @@ const UNSEEN_HEIGHT: f64 = 0.1;
 const COSINE_EXPONENT_DEVIATION: f64 = 1.0;
 /// No sample is better than this part of what the model has: beyond it f64 tells nothing apart.
 const LEAST_NOISE: f64 = 1e-4;
-/// Samples that the process over directions looks at: more lie closer than lobes are wide.
-const MOST_SAMPLES: usize = 1024;
+/// Samples that a process over directions looks at: more lie closer than lobes are wide.
+const MOST_SAMPLES: usize = 512;
+/// Texels that have a process: others are much like their neighbours.
+const MOST_PROCESSES: usize = 8;
 
-/// The `count` best of `candidates` (unit, z > 0), best first; fewer if there are fewer. `texels` should be a few hundred of a map.
+/// The `count` best of `candidates` (unit), best first; fewer if there are fewer that any texel sees. `texels` should be a few hundred of a map.
 pub fn suggest(texels: &[KnownTexel<'_>], candidates: &[[f32; 3]], count: usize) -> Vec<Suggestion> {
     let mut known: Vec<Parameters> = texels.iter().filter_map(|texel| Parameters::new(texel, candidates)).collect();
-    let mut unseen = Unseen::new(texels, candidates);
-    let mut free: Vec<usize> = (0..candidates.len()).collect();
+    let mut unseen = unseen(texels, candidates);
+    let mut free: Vec<usize> = (0..candidates.len()).filter(|at| unseen.iter().any(|process| process.sees[*at])).collect();
     let mut suggestions = Vec::new();
     while suggestions.len() < count {
         let gain = |&at: &usize| {
             let parameters: f64 = known.iter().map(|texel| texel.gain(at)).sum();
-            parameters / texels.len().max(1) as f64 + unseen.gain(at)
+            let processes: f64 = unseen.iter().map(|process| process.gain(at)).sum();
+            parameters / texels.len().max(1) as f64 + processes / unseen.len().max(1) as f64
         };
         let best = free.iter().enumerate().map(|(place, at)| (place, *at, gain(at))).max_by(|a, b| a.2.total_cmp(&b.2));
         let Some((place, at, gain)) = best else { break };
         free.remove(place);
         known.iter_mut().for_each(|texel| texel.sample(at));
-        unseen.sample(at);
+        unseen.iter_mut().for_each(|process| process.sample(at));
         suggestions.push(Suggestion { direction: candidates[at], gain });
     }
     suggestions
+}
+
+// None below the texel's horizon.
+fn local(texel: &KnownTexel<'_>, candidate: &[f32; 3]) -> Option<[f32; 3]> {
+    let direction = texel.local_from_shared * Vec3::from(*candidate);
+    (direction.z > 0.0).then(|| direction.to_array())
 }
 
 fn information(signal: f64, noise: f64) -> f64 {
@@ -88,7 +101,8 @@ impl Parameters {
         let mut covariance = vec![0.0; size * size];
         deviations.iter().enumerate().for_each(|(i, deviation)| covariance[i * size + i] = deviation * deviation);
         let noise = f64::from(texel.noise).max(LEAST_NOISE * deviations[0]).max(f64::MIN_POSITIVE.sqrt());
-        let gradients = candidates.iter().flat_map(|d| gradient(texel.model, *d)).collect();
+        let toward = |d: &[f32; 3]| local(texel, d).map_or(vec![0.0; size], |d| gradient(texel.model, d));
+        let gradients = candidates.iter().flat_map(toward).collect();
         let mut known = Self { covariance, gradients, variance: noise * noise };
         texel.directions.iter().for_each(|direction| known.learn(&gradient(texel.model, *direction)));
         Some(known)
@@ -172,10 +186,24 @@ fn lobe_gradient(lobe: &Lobe, d: DVec3) -> [f64; 4] {
     [height, slope * u.dot(d), slope * v.dot(d), amplitude * exponent * height * cosine.ln()]
 }
 
-/// Lobes that nobody has seen: a Gaussian process with kernel exp(−m (1 − d·d′)), about a lobe of exponent m, of variance 1. Memory and time grow
-/// with candidates · samples.
-struct Unseen<'a> {
-    candidates: &'a [[f32; 3]],
+// One process for each of a few texels, spread over `texels`; without any texel one that has seen nothing.
+fn unseen(texels: &[KnownTexel<'_>], candidates: &[[f32; 3]]) -> Vec<Unseen> {
+    let scale = scale(texels);
+    if texels.is_empty() {
+        return vec![Unseen::new(&[], candidates.iter().map(|d| Some(*d)).collect(), scale)];
+    }
+    let count = texels.len().min(MOST_PROCESSES);
+    let of = |texel: &KnownTexel<'_>| Unseen::new(texel.directions, candidates.iter().map(|d| local(texel, d)).collect(), scale);
+    // From the middle of each stretch.
+    (0..count).map(|i| of(&texels[(2 * i + 1) * texels.len() / (2 * count)])).collect()
+}
+
+/// Lobes that nobody has seen at a texel: a Gaussian process with kernel exp(−m (1 − d·d′)), about a lobe of exponent m, of variance 1. Memory and
+/// time grow with candidates · samples.
+struct Unseen {
+    /// In the texel's frame; what it does not see is anywhere.
+    candidates: Vec<[f32; 3]>,
+    sees: Vec<bool>,
     exponent: f64,
     /// Of a sample, where the process has 1.
     noise: f64,
@@ -185,11 +213,8 @@ struct Unseen<'a> {
     explained: Vec<Vec<f64>>,
 }
 
-impl<'a> Unseen<'a> {
-    fn new(texels: &[KnownTexel<'_>], candidates: &'a [[f32; 3]]) -> Self {
-        let (exponent, noise) = scale(texels);
-        // Those of the texel that was seen most; others differ by their place on the surface.
-        let samples = texels.iter().map(|texel| texel.directions).max_by_key(|directions| directions.len()).unwrap_or_default();
+impl Unseen {
+    fn new(samples: &[[f32; 3]], candidates: Vec<Option<[f32; 3]>>, (exponent, noise): (f64, f64)) -> Self {
         let step = samples.len().div_ceil(MOST_SAMPLES).max(1);
         let samples: Vec<[f32; 3]> = samples.iter().step_by(step).copied().collect();
         let m = samples.len();
@@ -205,16 +230,21 @@ impl<'a> Unseen<'a> {
             }
             column
         };
+        let sees = candidates.iter().map(Option::is_some).collect();
+        let candidates: Vec<[f32; 3]> = candidates.into_iter().map(Option::unwrap_or_default).collect();
         let explained: Vec<Vec<f64>> = candidates.iter().map(explained).collect();
         let variance = explained.iter().map(|column| 1.0 - dot(column, column)).collect();
-        Self { candidates, exponent, noise, variance, explained }
+        Self { candidates, sees, exponent, noise, variance, explained }
     }
 
     fn gain(&self, at: usize) -> f64 {
-        information(self.variance[at], self.noise)
+        if self.sees[at] { information(self.variance[at], self.noise) } else { 0.0 }
     }
 
     fn sample(&mut self, at: usize) {
+        if !self.sees[at] {
+            return;
+        }
         let (chosen, known) = (self.candidates[at], self.explained[at].clone());
         let root = (self.variance[at].max(0.0) + self.noise).sqrt();
         for ((candidate, column), variance) in self.candidates.iter().zip(&mut self.explained).zip(&mut self.variance) {

@@ -5,7 +5,8 @@
 //! whoever sees it, any unit of length. A photograph's `camera` is a place and its picture rectified: it shows the rectangle and nothing else;
 //! with `light` instead, a direction, the camera stands still and the light moves, as in reflectance transformation imaging; with `pose`
 //! instead (`{"position": …, "right": …, "up": …, "backward": …}`, the camera's axes) it is what a camera there with the list's `lens` (`lens.rs`)
-//! sees. Several `files` are one picture's exposures, relative to each other; without `exposures` EXIF says them.
+//! sees. Several `files` are one picture's exposures, relative to each other; without `exposures` EXIF says them. `saturation` is the value from
+//! which on scene-linear pictures (EXR, Radiance HDR) are clipped; without it they are nowhere.
 //! Others: RTI's `.lp`, nerfstudio's `transforms.json`, COLMAP's `images.txt` beside its `cameras.txt`; of the last two the surface lies in their z = 0.
 
 use std::collections::HashSet;
@@ -27,6 +28,8 @@ pub const FORMAT: &str = "lumisphere-photographs/1";
 pub struct PhotographList {
     /// Of the rectangle, if the list says: along x and y.
     pub size: Option<[f32; 2]>,
+    /// From which value on scene-linear pictures are clipped; None: nowhere.
+    pub saturation: Option<f32>,
     /// In the list's order.
     pub photographs: Vec<ListedPhotograph>,
 }
@@ -74,6 +77,7 @@ struct OwnList {
     width: f64,
     height: f64,
     lens: Option<LensNumbers>,
+    saturation: Option<f64>,
     photographs: Vec<OwnPhotograph>,
 }
 
@@ -104,11 +108,11 @@ pub fn read(path: &str, bytes: &[u8], beside: &dyn Fn(&str) -> Option<Vec<u8>>) 
     let name = path.rsplit('/').next().unwrap_or(path).to_ascii_lowercase();
     let calibrated = |cameras: Vec<PhotographCamera>| {
         let listed = |c: PhotographCamera| ListedPhotograph::single(c.file.clone(), PhotographView::Calibrated(c));
-        PhotographList { size: None, photographs: cameras.into_iter().map(listed).collect() }
+        PhotographList { size: None, saturation: None, photographs: cameras.into_iter().map(listed).collect() }
     };
     if name.ends_with(".lp") {
         let lit = |l: lp::LitPhotograph| ListedPhotograph::single(l.file, PhotographView::Lit { toward: l.toward_light });
-        return Ok(PhotographList { size: None, photographs: lp::read(path, bytes)?.into_iter().map(lit).collect() });
+        return Ok(PhotographList { size: None, saturation: None, photographs: lp::read(path, bytes)?.into_iter().map(lit).collect() });
     }
     if name == "images.txt" {
         let cameras = beside("cameras.txt").ok_or_else(|| file.missing("the folder", "cameras.txt"))?;
@@ -129,6 +133,9 @@ fn own(file: InFile, text: &str) -> Result<PhotographList, KnownCamerasError> {
         if !(length > 0.0 && length.is_finite()) {
             return Err(file.wrong(key, length, "a length above 0"));
         }
+    }
+    if let Some(value) = list.saturation.filter(|value| !(*value > 0.0 && value.is_finite())) {
+        return Err(file.wrong("saturation", value, "a number above 0"));
     }
     let lens = list.lens.map(|lens| lens.checked(file, "lens.")).transpose()?;
     let mut names = HashSet::new();
@@ -155,7 +162,8 @@ fn own(file: InFile, text: &str) -> Result<PhotographList, KnownCamerasError> {
         Ok(ListedPhotograph { files, exposures: p.exposures.clone(), view })
     };
     let photographs = list.photographs.iter().enumerate().map(listed).collect::<Result<Vec<_>, _>>()?;
-    Ok(PhotographList { size: Some([list.width as f32, list.height as f32]), photographs })
+    let size = Some([list.width as f32, list.height as f32]);
+    Ok(PhotographList { size, saturation: list.saturation.map(|value| value as f32), photographs })
 }
 
 /// A picture by a calibrated camera.
@@ -214,7 +222,7 @@ mod tests {
     #[test]
     fn our_own_list_places_cameras_or_lights() {
         let list = own_list(r#"{"file": "a.png", "camera": [1, 2, 3]}, {"file": "b.png", "light": [0, 3, 4]}"#).unwrap();
-        assert_eq!(list.size, Some([2.0, 1.0]));
+        assert_eq!((list.size, list.saturation), (Some([2.0, 1.0]), None));
         let views: Vec<_> = list.photographs.iter().map(|p| p.view.clone()).collect();
         let expected =
             [PhotographView::Rectified { from: Vec3::new(1.0, 2.0, 3.0) }, PhotographView::Lit { toward: Vec3::new(0.0, 0.6, 0.8) }];
@@ -228,6 +236,21 @@ mod tests {
         let photographs = list.unwrap().photographs;
         assert_eq!((photographs[0].files.len(), photographs[0].exposures.clone()), (2, Some(vec![1.0, 0.25])));
         assert_eq!((photographs[1].files.clone(), photographs[1].exposures.clone()), (vec!["c".to_string(), "d".to_string()], None));
+    }
+
+    #[test]
+    fn scene_linear_pictures_may_be_clipped_from_some_value_on() {
+        let list = |value: &str| {
+            let photographs = r#"[{"file": "a.exr", "camera": [0, 0, 1]}]"#;
+            alone(
+                "a.json",
+                &format!(r#"{{"format": "{FORMAT}", "width": 2, "height": 1, "saturation": {value}, "photographs": {photographs}}}"#),
+            )
+        };
+        assert_eq!(list("0.9").unwrap().saturation, Some(0.9));
+        for wrong in ["0", "-1"] {
+            assert!(list(wrong).unwrap_err().contains("saturation is"), "{wrong}");
+        }
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! Long work.
 
 use lumisphere::capture::observation_map::OBSERVATION_MAP;
+use lumisphere::representations::Kind;
 use lumisphere::textures::ContentHash;
 use tokio::sync::{mpsc, watch};
 use tokio_stream::wrappers::ReceiverStream;
@@ -69,8 +70,13 @@ fn submit(app: &App, message: Option<proto::JobSpec>, id: String) -> Result<JobV
         let manifest = app.catalog.manifest(dataset, wanted)?;
         spec.settings().iter().try_for_each(|s| check_kind(&s.settings, &manifest.kind))?;
         spec.settings().iter().try_for_each(|s| app.catalog.tables().check(&s.settings))?;
-        if matches!(spec, JobSpec::Fit(_)) && manifest.kind != OBSERVATION_MAP {
-            let message = format!("dataset {dataset} holds {:?}, {OBSERVATION_MAP:?} expected", manifest.kind);
+        let expected = match spec {
+            JobSpec::Fit(_) => Some(OBSERVATION_MAP),
+            JobSpec::Suggest(_) => Some(Kind::ParameterMap.name()),
+            _ => None,
+        };
+        if let Some(expected) = expected.filter(|kind| *kind != manifest.kind) {
+            let message = format!("dataset {dataset} holds {:?}, {expected:?} expected", manifest.kind);
             return Err(ApiError::new(Reason::DatasetKindMismatch, message));
         }
         version = Some(manifest.version);
@@ -86,7 +92,7 @@ fn submit(app: &App, message: Option<proto::JobSpec>, id: String) -> Result<JobV
         }
         JobSpec::Fit(fit) => Some(fit.dataset.clone()),
         JobSpec::Thin(thin) => Some(thin.into.clone()),
-        JobSpec::Evaluate(_) | JobSpec::PathRender(_) => None,
+        JobSpec::Evaluate(_) | JobSpec::PathRender(_) | JobSpec::Suggest(_) => None,
     };
     let asked = digest(&message);
     app.jobs.submit(Submission { kind: spec.kind(), writes, request_id, asked, spec: remembered(message, version) })

@@ -8,7 +8,7 @@ use lumisphere::evaluate::ThinMetric;
 use lumisphere::fitting::{Outliers, Precision};
 use lumisphere::geometry::Camera;
 use lumisphere::representations::offset_surface_light_field::Spacing;
-use lumisphere::representations::parameter_map::{self, AllowedModels};
+use lumisphere::representations::parameter_map::{self, AllowedModels, MOST_CANDIDATES, MOST_SUGGESTIONS, SuggestSettings};
 use lumisphere::textures::{Codec, ContentHash, PixelFormat};
 use prost::Message;
 
@@ -22,6 +22,8 @@ use crate::jobs::{FitSoFar, JobView, Outcome, PARTIAL, State};
 const MAX_SETTINGS: usize = 64;
 /// Default of `VirtualPhotographs.directions`.
 const DEFAULT_DIRECTIONS: &str = "icosahedron:73";
+/// Default of `SuggestSpec.candidates`.
+const DEFAULT_CANDIDATES: &str = "icosahedron:305";
 /// Default of `FitSpec.relative_noise`.
 const DEFAULT_RELATIVE_NOISE: f32 = 0.01;
 /// Jobs are remembered, so their specifications are held smaller than a request may be.
@@ -43,6 +45,8 @@ pub enum JobSpec {
     Observe(Box<ObserveSpec>),
     /// Observation map to parameter map.
     Fit(FitSpec),
+    /// Parameter map to directions.
+    Suggest(SuggestSpec),
 }
 
 /// Scene to dataset version.
@@ -191,7 +195,7 @@ pub enum ObserveSource {
     /// A scene, by the path tracer.
     Scene(Box<ObservedScene>),
     /// Photographs of a flat surface.
-    Photographs(PhotographSource),
+    Photographs(Box<PhotographSource>),
 }
 
 /// A scene's object.
@@ -212,6 +216,8 @@ pub struct PhotographSource {
     pub list_path: String,
     /// Relative path, content.
     pub files: Vec<(String, ContentHash)>,
+    /// The object that they show; None: a rectangle.
+    pub object: Option<PhotographedObject>,
     /// Of the rectangle; None: as the list says.
     pub width: Option<f32>,
     /// Of the rectangle; None: as the list says.
@@ -226,12 +232,24 @@ pub struct PhotographSource {
     pub codec: Codec,
 }
 
+/// An object that is photographed.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PhotographedObject {
+    /// What it stands in.
+    pub scene: SceneSource,
+    /// Its name.
+    pub name: String,
+}
+
 impl ObserveSource {
     /// Every uploaded file that must be there.
     pub fn blobs(&self) -> Vec<ContentHash> {
         match self {
             Self::Scene(observed) => observed.scene.blobs().collect(),
-            Self::Photographs(source) => source.files.iter().map(|(_, content)| *content).collect(),
+            Self::Photographs(source) => {
+                let scene = source.object.iter().flat_map(|object| object.scene.blobs());
+                source.files.iter().map(|(_, content)| *content).chain(scene).collect()
+            }
         }
     }
 }
@@ -251,6 +269,17 @@ pub struct FitSpec {
     pub partial: Option<(Duration, String)>,
 }
 
+/// Parameter map to directions.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SuggestSpec {
+    /// Which.
+    pub dataset: String,
+    /// 0: the latest.
+    pub version: u64,
+    /// What to choose from.
+    pub settings: SuggestSettings,
+}
+
 /// Limits that specifications are held to.
 #[derive(Debug, Clone, Copy)]
 pub struct SpecLimits {
@@ -261,7 +290,7 @@ pub struct SpecLimits {
 }
 
 impl JobSpec {
-    /// "capture", "evaluate", "path_render", "thin", "observe" or "fit".
+    /// "capture", "evaluate", "path_render", "thin", "observe", "fit" or "suggest".
     pub fn kind(&self) -> &'static str {
         match self {
             Self::Capture(_) => "capture",
@@ -270,6 +299,7 @@ impl JobSpec {
             Self::Thin(_) => "thin",
             Self::Observe(_) => "observe",
             Self::Fit(_) => "fit",
+            Self::Suggest(_) => "suggest",
         }
     }
 
@@ -281,13 +311,14 @@ impl JobSpec {
             Self::Evaluate(e) => Some((&e.dataset, e.version)),
             Self::PathRender(p) => Some((&p.dataset, p.version)),
             Self::Thin(t) => Some((&t.dataset, t.version)),
+            Self::Suggest(s) => Some((&s.dataset, s.version)),
         }
     }
 
     /// The settings that it renders with.
     pub fn settings(&self) -> &[RenderSettings] {
         match self {
-            Self::Capture(_) | Self::Observe(_) | Self::Fit(_) => &[],
+            Self::Capture(_) | Self::Observe(_) | Self::Fit(_) | Self::Suggest(_) => &[],
             Self::Evaluate(e) => &e.settings,
             Self::PathRender(p) => std::slice::from_ref(&p.settings),
             Self::Thin(t) => std::slice::from_ref(&t.settings),
@@ -310,6 +341,7 @@ pub fn job_spec(message: Option<proto::JobSpec>, limits: &SpecLimits) -> Result<
         Spec::Thin(m) => JobSpec::Thin(Box::new(thin(m, "spec.thin")?)),
         Spec::Observe(m) => JobSpec::Observe(Box::new(observe(m, "spec.observe")?)),
         Spec::Fit(m) => JobSpec::Fit(fit(m, "spec.fit")?),
+        Spec::Suggest(m) => JobSpec::Suggest(suggest(m, "spec.suggest")?),
     })
 }
 
@@ -326,6 +358,7 @@ pub fn remembered(mut message: proto::JobSpec, version: Option<u64>) -> Vec<u8> 
         (Some(Spec::PathRender(m)), Some(version)) => m.version = version,
         (Some(Spec::Thin(m)), Some(version)) => m.version = version,
         (Some(Spec::Fit(m)), Some(version)) => m.version = version,
+        (Some(Spec::Suggest(m)), Some(version)) => m.version = version,
         (Some(Spec::Capture(_) | Spec::Observe(_)) | None, _) | (_, None) => {}
     }
     message.encode_to_vec()
@@ -494,9 +527,19 @@ fn photographs(
     use proto::photograph_set::Response as Message;
     let at = |name: &str| format!("{field}.{name}");
     let length = |value: f32, name: &str| (value != 0.0).then(|| positive(value, &at(name))).transpose();
-    Ok(ObserveSource::Photographs(PhotographSource {
+    let object = match (source.scene, source.object) {
+        (None, name) if name.is_empty() => None,
+        (None, _) => return Err(ApiError::field(at("scene"), "missing, where an object is named")),
+        (Some(_), name) if name.is_empty() => return Err(ApiError::field(at("object"), "missing, where a scene is given")),
+        (scene, name) => Some(PhotographedObject { scene: scene_source(scene, &at("scene"))?, name }),
+    };
+    if let Some((field, _)) = [("width", source.width), ("height", source.height)].iter().find(|(_, v)| object.is_some() && *v != 0.0) {
+        return Err(ApiError::field(at(field), "of an object, whose size its scene says: 0 expected"));
+    }
+    Ok(ObserveSource::Photographs(Box::new(PhotographSource {
         files: uploaded_files(source.files, &source.list_path, "list_path", field)?,
         list_path: source.list_path,
+        object,
         width: length(source.width, "width")?,
         height: length(source.height, "height")?,
         response: match Message::try_from(source.response) {
@@ -507,7 +550,7 @@ fn photographs(
         size_texels,
         pixel_format,
         codec,
-    }))
+    })))
 }
 
 fn virtual_photographs(
@@ -521,7 +564,6 @@ fn virtual_photographs(
     }
     let directions = if source.directions.is_empty() { DEFAULT_DIRECTIONS } else { source.directions.as_str() };
     let directions: Scheme = directions.parse().map_err(|e: SchemeError| ApiError::field(at("directions"), e.to_string()))?;
-    let axis = source.axis.map(|axis| vec3(axis).try_normalize().ok_or_else(|| ApiError::field(at("axis"), "zero or not finite")));
     let distance_radii = or_default(source.distance_radii, 10.0, 1.0, 1e6, &at("distance_radii"))?;
     Ok(ObserveSource::Scene(Box::new(ObservedScene {
         scene: scene_source(source.scene.clone(), &at("scene"))?,
@@ -530,8 +572,8 @@ fn virtual_photographs(
             object: source.object,
             size_texels,
             directions,
-            coverage: if source.both_hemispheres { Coverage::Sphere } else { Coverage::Hemisphere },
-            axis: axis.transpose()?,
+            coverage: coverage(source.both_hemispheres),
+            axis: zenith(source.axis, &at("axis"))?,
             distance_radii,
             samples_per_observation: count(source.samples_per_observation, 64, 1, 65_536, &at("samples_per_observation"))?,
             max_bounces: count(source.max_bounces, 8, 1, 64, &at("max_bounces"))?,
@@ -540,6 +582,36 @@ fn virtual_photographs(
             codec,
         },
     })))
+}
+
+fn zenith(axis: Option<proto::Vector3>, field: &str) -> Result<Option<glam::Vec3>, ApiError> {
+    axis.map(|axis| vec3(axis).try_normalize().ok_or_else(|| ApiError::field(field, "zero or not finite"))).transpose()
+}
+
+// As a request says it.
+fn coverage(both_hemispheres: bool) -> Coverage {
+    if both_hemispheres { Coverage::Sphere } else { Coverage::Hemisphere }
+}
+
+fn suggest(m: proto::SuggestSpec, field: &str) -> Result<SuggestSpec, ApiError> {
+    let at = |name: &str| format!("{field}.{name}");
+    let candidates = if m.candidates.is_empty() { DEFAULT_CANDIDATES } else { m.candidates.as_str() };
+    let candidates: Scheme = candidates.parse().map_err(|e: SchemeError| ApiError::field(at("candidates"), e.to_string()))?;
+    let coverage = coverage(m.both_hemispheres);
+    let (number, most) = (candidates.count().saturating_mul(coverage.sides()), MOST_CANDIDATES);
+    if number > most {
+        return Err(ApiError::field(at("candidates"), format!("{number} directions, at most {most} expected")));
+    }
+    Ok(SuggestSpec {
+        dataset: dataset_name(&m.dataset, &at("dataset"))?,
+        version: m.version,
+        settings: SuggestSettings {
+            count: count(m.count, 8, 1, MOST_SUGGESTIONS as u32, &at("count"))? as usize,
+            candidates,
+            coverage,
+            axis: zenith(m.axis, &at("axis"))?,
+        },
+    })
 }
 
 fn fit(m: proto::FitSpec, field: &str) -> Result<FitSpec, ApiError> {
@@ -658,7 +730,10 @@ pub fn listed_job(view: &JobView) -> Result<proto::Job, ApiError> {
         Some(Spec::Capture(m)) => forget_files(m.scene.as_mut()),
         Some(Spec::Observe(m)) => match &mut m.source {
             Some(observe_spec::Source::VirtualPhotographs(m)) => forget_files(m.scene.as_mut()),
-            Some(observe_spec::Source::Photographs(m)) => m.files.clear(),
+            Some(observe_spec::Source::Photographs(m)) => {
+                m.files.clear();
+                forget_files(m.scene.as_mut());
+            }
             None => {}
         },
         Some(Spec::Evaluate(m)) => {
@@ -671,7 +746,7 @@ pub fn listed_job(view: &JobView) -> Result<proto::Job, ApiError> {
                 list.cameras.clear();
             }
         }
-        Some(Spec::Thin(_) | Spec::Fit(_)) | None => {}
+        Some(Spec::Thin(_) | Spec::Fit(_) | Spec::Suggest(_)) | None => {}
     }
     Ok(job)
 }
@@ -828,6 +903,60 @@ mod tests {
         assert!(long.starts_with("f.publish_every_seconds") && long.contains("-partial"), "{long}");
         let harmonics = refused(|f| (f.models, f.reject_outliers) = ("sh:16".into(), true));
         assert!(harmonics.starts_with("f.reject_outliers") && harmonics.contains("phong:N"), "{harmonics}");
+    }
+
+    #[test]
+    fn a_photographed_object_has_a_scene_and_a_name_and_no_size_of_its_own() {
+        let builtin = proto::BuiltinScene { name: "gazebo".into(), ..Default::default() };
+        let scene = proto::SceneSource { source: Some(proto::scene_source::Source::Builtin(builtin)), environment: None };
+        let file = proto::SceneFile { path: "transforms.json".into(), blake3: "0".repeat(64) };
+        let good = proto::PhotographSet {
+            list_path: "transforms.json".into(),
+            files: vec![file],
+            scene: Some(scene),
+            object: "teapot".into(),
+            ..Default::default()
+        };
+        let parsed = |set: proto::PhotographSet| photographs(set, (8, PixelFormat::F32, Codec::DEFAULT), "p");
+        let Ok(ObserveSource::Photographs(source)) = parsed(good.clone()) else { panic!() };
+        assert_eq!(source.object.as_ref().map(|object| object.name.as_str()), Some("teapot"));
+        let refused = |change: fn(&mut proto::PhotographSet)| {
+            let mut message = good.clone();
+            change(&mut message);
+            parsed(message).unwrap_err().to_string()
+        };
+        assert!(refused(|p| p.scene = None).starts_with("p.scene: missing"));
+        assert!(refused(|p| p.object.clear()).starts_with("p.object: missing"));
+        assert!(refused(|p| p.height = 2.0).starts_with("p.height: of an object"));
+        let Ok(ObserveSource::Photographs(flat)) = parsed(proto::PhotographSet { scene: None, object: String::new(), ..good.clone() })
+        else {
+            panic!()
+        };
+        assert_eq!(flat.object, None);
+    }
+
+    #[test]
+    fn a_suggestion_out_of_range_is_refused_by_field() {
+        let good = || proto::SuggestSpec { dataset: "map".into(), ..Default::default() };
+        let settings = suggest(good(), "s").unwrap().settings;
+        assert_eq!((settings.count, settings.candidates.count(), settings.coverage, settings.axis), (8, 305, Coverage::Hemisphere, None));
+        let axis = Some(proto::Vector3 { x: 0.0, y: 0.0, z: -2.0 });
+        let asked = proto::SuggestSpec { count: 64, candidates: "icosahedron:1249".into(), axis, both_hemispheres: true, ..good() };
+        let settings = suggest(asked, "s").unwrap().settings;
+        assert_eq!((settings.count, settings.coverage, settings.axis), (64, Coverage::Sphere, Some(-glam::Vec3::Z)));
+        let refused = |change: fn(&mut proto::SuggestSpec)| {
+            let mut message = good();
+            change(&mut message);
+            suggest(message, "s").unwrap_err().to_string()
+        };
+        assert!(refused(|s| s.dataset = "../x".into()).starts_with("s.dataset: \"../x\""));
+        assert!(refused(|s| s.count = 65).starts_with("s.count: 65"));
+        let scheme = refused(|s| s.candidates = "icosahedron:18".into());
+        assert!(scheme.starts_with("s.candidates: ") && scheme.contains("17, 73, 289"), "{scheme}");
+        assert!(refused(|s| s.candidates = "stratified:4096:0".into()).starts_with("s.candidates: 4096 directions, at most 2600"));
+        let twice = refused(|s| (s.candidates, s.both_hemispheres) = ("stratified:2500:0".into(), true));
+        assert!(twice.starts_with("s.candidates: 5000"), "{twice}");
+        assert!(refused(|s| s.axis = Some(proto::Vector3::default())).starts_with("s.axis: zero"));
     }
 
     #[test]

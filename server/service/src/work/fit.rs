@@ -1,7 +1,7 @@
 //! Observation map to parameter map.
 
 use std::sync::{Mutex, PoisonError};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use lumisphere::progress::Progress;
 use lumisphere::representations::Kind;
@@ -18,6 +18,9 @@ use crate::wire::jobs::FitSpec;
 const KIND: Kind = Kind::ParameterMap;
 /// What came of the fits: a part of the version.
 const REPORT: &str = "fit.json";
+/// All models are packed anew for each partial map: between two of them passes at least so many times what the last one took, so that all of them
+/// together take at most a tenth of the fit's time however many there are.
+const PAUSE: u32 = 9;
 /// A report takes no more: thirty counts and a dozen numbers.
 const REPORT_BYTES: u64 = 2048;
 
@@ -41,7 +44,7 @@ impl Work {
     fn fill_fitted(&self, spec: &FitSpec, staging: &Staging, attempt: &Attempt) -> Result<Publication, ApiError> {
         let (map, pages) = self.catalog.open_observations(&spec.observations, spec.version)?;
         let manifest = pages.manifest();
-        let name = format!("{} version {}", manifest.dataset, manifest.version);
+        let name = version_name(&manifest.dataset, manifest.version);
         let origin = manifest.blobs.contains_key(ORIGIN).then(|| pages.blob(ORIGIN)).transpose()?;
         if let Some((_, dataset)) = &spec.partial {
             self.check_partial(dataset, attempt)?;
@@ -49,8 +52,14 @@ impl Work {
         let read = |page| pages.read_page(page).map(std::sync::Arc::new);
         let beside_bytes = REPORT_BYTES + origin.as_ref().map_or(0, |origin| origin.len() as u64);
         let source = FitSource { map: &map, read: &read, name: &name, beside_bytes };
-        let follower =
-            Follower { work: self, spec, attempt, observed: manifest, origin: origin.as_deref(), shown: Mutex::new(Instant::now()) };
+        let follower = Follower {
+            work: self,
+            spec,
+            attempt,
+            observed: manifest,
+            origin: origin.as_deref(),
+            shown: Mutex::new((Instant::now(), Duration::ZERO)),
+        };
         let (parameters, report) = construct(&source, &spec.settings, staging, &follower)?;
         if let Some(origin) = &origin {
             staging.put_blob(ORIGIN, origin)?;
@@ -84,6 +93,19 @@ impl Work {
     }
 }
 
+const VERSION: &str = " version ";
+
+/// As a parameter map remembers what it was fitted to.
+fn version_name(dataset: &str, version: u64) -> String {
+    format!("{dataset}{VERSION}{version}")
+}
+
+/// Dataset and version of such a name.
+pub(super) fn named_version(name: &str) -> Option<(&str, u64)> {
+    let (dataset, version) = name.rsplit_once(VERSION)?;
+    Some((dataset, version.parse().ok()?))
+}
+
 fn is_shown_by(manifest: &Manifest, attempt: &Attempt) -> bool {
     manifest.token.starts_with(&partial_token(attempt))
 }
@@ -110,8 +132,8 @@ struct Follower<'a> {
     attempt: &'a Attempt,
     observed: &'a Manifest,
     origin: Option<&'a [u8]>,
-    /// When something was published last.
-    shown: Mutex<Instant>,
+    /// When something was published last, and how long that took.
+    shown: Mutex<(Instant, Duration)>,
 }
 
 impl Progress for Follower<'_> {
@@ -134,14 +156,16 @@ impl FollowFit for Follower<'_> {
     fn offer(&self, partial: &PartialMap<'_>) -> Result<(), FitError> {
         let Some((every, dataset)) = &self.spec.partial else { return Ok(()) };
         let mut shown = self.shown.lock().unwrap_or_else(PoisonError::into_inner);
-        if shown.elapsed() < *every {
+        let (last, took) = *shown;
+        if last.elapsed() < (took * PAUSE).max(*every) {
             return Ok(());
         }
+        let begun = Instant::now();
         // The fit does not depend on it.
         if let Err(error) = self.publish(dataset, partial) {
             tracing::warn!(%error, dataset, "cannot publish what is fitted so far");
         }
-        *shown = Instant::now();
+        *shown = (Instant::now(), begun.elapsed());
         Ok(())
     }
 }
@@ -165,5 +189,16 @@ impl Follower<'_> {
         }
         staging.publish(publication(&parameters, self.observed)?)?;
         Ok(store.delete_older_versions(dataset)?)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_map_was_fitted_to_is_found_again_by_its_name() {
+        assert_eq!(named_version(&version_name("seen", 12)), Some(("seen", 12)));
+        assert_eq!((named_version("seen"), named_version("seen version x")), (None, None));
     }
 }

@@ -5,10 +5,11 @@ use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
 use lumisphere::capture::observation_map::{
-    ImportError, ImportSettings, OBSERVATION_MAP, ObservationParameters, RadiancePhotograph, import, observe,
+    ImportError, ImportSettings, OBSERVATION_MAP, ObservationParameters, Photographed, RadiancePhotograph, import, observe,
 };
 use lumisphere::capture::{Exposures, ResponseCurve, read_stack};
 use lumisphere::formats::photograph_list::{self, ListedPhotograph, PhotographList, PhotographView};
+use lumisphere::images::{ReadLimits, decode_image};
 use lumisphere::textures::{ContentHash, Publication, Staging};
 
 use super::Work;
@@ -39,27 +40,52 @@ impl Work {
     }
 
     fn import_photographs(&self, source: &PhotographSource, staging: &Staging, attempt: &Attempt) -> Result<Publication, ApiError> {
-        let (list, settings) = self.listed(source)?;
+        let list = self.listed(source)?;
+        let scene = source.object.as_ref().map(|object| load_scene(&object.scene, self.catalog.store(), self.scene_bytes)).transpose()?;
+        let photographed = match (&scene, &source.object) {
+            (Some(scene), Some(object)) => Photographed::Object { scene, object: &object.name },
+            _ => Photographed::Rectangle(self.rectangle(source, &list)?),
+        };
+        let settings = ImportSettings {
+            size_texels: source.size_texels,
+            list: source.list_path.clone(),
+            pixel_format: source.pixel_format,
+            codec: source.codec,
+        };
         let views: Vec<(String, PhotographView)> = list.photographs.iter().map(|p| (p.files.join(", "), p.view.clone())).collect();
         // One camera took all of them: the first that was exposed several times tells its response.
         let curve: OnceLock<ResponseCurve> = OnceLock::new();
-        let load = |at: usize| self.radiance(source, &list.photographs[at], &curve);
-        let parameters = import(&views, &load, &settings, staging, attempt)?;
-        let half = 0.5 * glam::Vec2::from(settings.size).extend(0.0);
-        staging.put_blob(ORIGIN, &Origin::new(None, (-half, half)).to_bytes())?;
-        publication(parameters, source.files.iter().map(|(path, hash)| (format!("photographs/{path}"), *hash)).collect())
+        let load = |at: usize| self.radiance(source, &list, at, &curve);
+        let parameters = import(photographed, &views, &load, &settings, staging, attempt)?;
+        let bounds = match photographed {
+            Photographed::Rectangle(size) => {
+                let half = 0.5 * glam::Vec2::from(size).extend(0.0);
+                (-half, half)
+            }
+            Photographed::Object { scene, object } => scene.objects[scene.object(object).expect("import found the object")].mesh.bounds(),
+        };
+        // What its surfaces look like is not in the scene: it is no truth.
+        staging.put_blob(ORIGIN, &Origin::new(None, bounds).to_bytes())?;
+        let files = source.files.iter().map(|(path, hash)| (format!("photographs/{path}"), *hash));
+        publication(parameters, files.chain(source.object.iter().flat_map(|object| inputs(&object.scene))).collect())
     }
 
     fn radiance(
         &self,
         source: &PhotographSource,
-        photograph: &ListedPhotograph,
+        list: &PhotographList,
+        at: usize,
         curve: &OnceLock<ResponseCurve>,
     ) -> Result<RadiancePhotograph, ImportError> {
+        let photograph = &list.photographs[at];
         let failed = |reason: String| ImportError::Photograph { file: photograph.files.join(", "), reason };
         if let [file] = &photograph.files[..] {
             let bytes = self.uploaded(source, file).map_err(failed)?;
-            return RadiancePhotograph::decode(&bytes, source.response).map_err(|e| failed(e.to_string()));
+            return RadiancePhotograph::decode(&bytes, source.response, list.saturation).map_err(|e| failed(e.to_string()));
+        }
+        let first = self.uploaded(source, &photograph.files[0]).map_err(failed)?;
+        if RadiancePhotograph::is_linear(&first).map_err(|e| failed(e.to_string()))? {
+            return self.merged_linear(source, photograph, list.saturation).map_err(failed);
         }
         let paths: Vec<PathBuf> = photograph.files.iter().map(PathBuf::from).collect();
         let load = |path: &Path| self.uploaded(source, &path.to_string_lossy()).map_err(std::io::Error::other);
@@ -75,18 +101,42 @@ impl Work {
         RadiancePhotograph::merged(&stack, curve).map_err(|e| failed(e.to_string()))
     }
 
-    // The list, and what of the rectangle it or the request says.
-    fn listed(&self, source: &PhotographSource) -> Result<(PhotographList, ImportSettings), ApiError> {
+    // Exposures that are radiance, up to a factor.
+    fn merged_linear(
+        &self,
+        source: &PhotographSource,
+        photograph: &ListedPhotograph,
+        saturation: Option<f32>,
+    ) -> Result<RadiancePhotograph, String> {
+        let exposures = photograph.exposures.as_ref();
+        let exposures = exposures.ok_or("scene-linear files do not say how they were exposed: a list with \"exposures\" expected")?;
+        let read = |file: &String| {
+            let bytes = self.uploaded(source, file)?;
+            match RadiancePhotograph::is_linear(&bytes) {
+                Ok(true) => decode_image(&bytes, ReadLimits::SCENE).map_err(|e| format!("{file}: {e}")),
+                Ok(false) => Err(format!("{file} holds 8-bit codes, radiance as in the first file expected")),
+                Err(e) => Err(format!("{file}: {e}")),
+            }
+        };
+        let photographs = photograph.files.iter().map(read).collect::<Result<Vec<_>, _>>()?;
+        RadiancePhotograph::merged_linear(&photographs, exposures, saturation).map_err(|e| e.to_string())
+    }
+
+    fn listed(&self, source: &PhotographSource) -> Result<PhotographList, ApiError> {
         let field = "spec.observe.photographs.list_path";
         let bytes = self.uploaded(source, &source.list_path).map_err(|reason| ApiError::field(field, reason))?;
         let beside = |file: &str| self.uploaded(source, file).ok();
-        let list = photograph_list::read(&source.list_path, &bytes, &beside).map_err(|e| ApiError::field(field, e.to_string()))?;
-        let size = match (list.size, source.width, source.height) {
+        photograph_list::read(&source.list_path, &bytes, &beside).map_err(|e| ApiError::field(field, e.to_string()))
+    }
+
+    // What of the rectangle the list or the request says.
+    fn rectangle(&self, source: &PhotographSource, list: &PhotographList) -> Result<[f32; 2], ApiError> {
+        Ok(match (list.size, source.width, source.height) {
             (_, Some(width), Some(height)) => [width, height],
             (Some(size), None, None) => size,
             (None, width, None) if matches!(list.photographs[0].view, PhotographView::Lit { .. }) => {
                 let width = width.unwrap_or(1.0);
-                let first = self.radiance(source, &list.photographs[0], &OnceLock::new())?;
+                let first = self.radiance(source, list, 0, &OnceLock::new())?;
                 [width, width * first.radiance.height as f32 / first.radiance.width as f32]
             }
             (_, width, _) => {
@@ -94,15 +144,7 @@ impl Work {
                 let message = "missing: both or neither of width and height, and both where the list does not say";
                 return Err(ApiError::field(format!("spec.observe.photographs.{missing}"), message));
             }
-        };
-        let settings = ImportSettings {
-            size,
-            size_texels: source.size_texels,
-            list: source.list_path.clone(),
-            pixel_format: source.pixel_format,
-            codec: source.codec,
-        };
-        Ok((list, settings))
+        })
     }
 
     // A file by its path relative to the list's folder.

@@ -22,9 +22,9 @@ use super::{Background, SurfaceMesh};
 use crate::geometry::TangentFrame;
 use crate::textures::{Page, PageShape, PixelFormat};
 
-pub use photographs::{ImportError, ImportSettings, RadiancePhotograph, Response, import};
+pub use photographs::{ImportError, ImportSettings, Photographed, RadiancePhotograph, Response, import};
 pub use storage::{from_parts, to_parts};
-pub use virtual_photographs::{Coverage, Entries, ObserveError, ObserveSettings, observe, observed};
+pub use virtual_photographs::{Coverage, Entries, ObserveError, ObserveSettings, directions_about, mean_normal, observe, observed};
 
 /// The kind of such a dataset in its manifest. It is not rendered; models are fitted to it.
 pub const OBSERVATION_MAP: &str = "observation_map";

@@ -1,8 +1,9 @@
-//! Photographs of a flat surface, resampled into an observation map.
+//! Photographs of a flat surface, or of a scene's object with texture coordinates, resampled into an observation map.
 //!
-//! The surface is a rectangle in z = 0 with its centre at the origin, x right, y up; u grows with x, v with y. A texel's entry is read from a
+//! A flat surface is a rectangle in z = 0 with its centre at the origin, x right, y up; u grows with x, v with y. A texel's entry is read from a
 //! photograph bilinearly where the texel's centre is imaged; it is missing outside the picture, behind the camera, and where any of the four
-//! pixels is; it is clipped in the channels in which any of them is.
+//! pixels is; it is clipped in the channels in which any of them is. An object is seen by calibrated cameras alone, in its scene's space; what turns
+//! away from a camera, or lies behind something in the scene, is missing.
 //!
 //! Texels are resampled in bands that fit into memory, each from all photographs in turn, so memory does not grow with the map.
 
@@ -12,16 +13,20 @@ use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 use thiserror::Error;
 
+use super::virtual_photographs::{Visibility, names, sphere_around, texels_of};
 use super::{
-    MOST_OBSERVATIONS, MOST_TEXELS_PER_EDGE, Observation, ObservationMap, ObservationParameters, ObservedTexel, Observer, State,
-    TEXELS_PER_PAGE, tiled_order, to_parts,
+    MOST_OBSERVATIONS, MOST_TEXELS, MOST_TEXELS_PER_EDGE, Observation, ObservationMap, ObservationParameters, ObservedTexel, Observer,
+    State, TEXELS_PER_PAGE, to_parts,
 };
-use crate::capture::{Background, ExposureStack, MergeError, PartsError, ResponseCurve, SurfaceMesh, Validity, merge, surface_texels};
+use crate::capture::{
+    Background, ExposureStack, MergeError, Merged, PartsError, ResponseCurve, SurfaceMesh, Validity, merge, merge_linear,
+};
 use crate::formats::photograph_list::PhotographView;
 use crate::geometry::TriangleMesh;
 use crate::images::{Format, Image, ImageError, ReadLimits, decode_image, decode_image_codes};
 use crate::progress::{Cancelled, Progress};
-use crate::scenes::Environment;
+use crate::raytrace::TraceError;
+use crate::scenes::{Environment, Scene};
 use crate::textures::{Codec, EncodedPage, PageId, PixelFormat, Staging, StoreError, encode_as};
 
 /// A photograph as radiance.
@@ -43,11 +48,19 @@ pub enum Response {
 }
 
 impl RadiancePhotograph {
-    /// From an image's file. Of PNG, JPEG and TIFF a channel of 255 is clipped; EXR and Radiance HDR are radiance, and `response` means nothing to them.
-    pub fn decode(bytes: &[u8], response: Response) -> Result<Self, ImageError> {
-        if let Format::Exr | Format::Hdr = Format::of(bytes)? {
+    /// Whether an image's file is scene-linear.
+    pub fn is_linear(bytes: &[u8]) -> Result<bool, ImageError> {
+        Ok(matches!(Format::of(bytes)?, Format::Exr | Format::Hdr))
+    }
+
+    /// From an image's file. Of PNG, JPEG and TIFF a channel of 255 is clipped; EXR and Radiance HDR are radiance, clipped from `saturation` on, and
+    /// `response` means nothing to them.
+    pub fn decode(bytes: &[u8], response: Response, saturation: Option<f32>) -> Result<Self, ImageError> {
+        if Self::is_linear(bytes)? {
             let radiance = decode_image(bytes, ReadLimits::SCENE)?;
-            let states = vec![State::Seen { clipped: 0 }; radiance.width * radiance.height];
+            let is_clipped = |value: f32| u8::from(saturation.is_some_and(|least| value >= least));
+            let clipped = |[r, g, b]: [f32; 3]| is_clipped(r) | is_clipped(g) << 1 | is_clipped(b) << 2;
+            let states = (0..radiance.width * radiance.height).map(|at| State::Seen { clipped: clipped(radiance.rgb(at)) }).collect();
             return Ok(Self { radiance, states });
         }
         let codes = decode_image_codes(bytes, ReadLimits::SCENE)?;
@@ -69,20 +82,40 @@ impl RadiancePhotograph {
 
     /// From several exposures of one view, by the camera's response. What no exposure shows is missing.
     pub fn merged(stack: &ExposureStack, curve: &ResponseCurve) -> Result<Self, MergeError> {
-        let merged = merge(stack, curve)?;
+        Ok(Self::of(merge(stack, curve)?))
+    }
+
+    /// From several scene-linear exposures of one view, clipped from `saturation` on. Radiance is that of exposure 1. What no exposure shows is missing.
+    pub fn merged_linear(photographs: &[Image], exposures: &[f64], saturation: Option<f32>) -> Result<Self, MergeError> {
+        Ok(Self::of(merge_linear(photographs, exposures, 0.0, saturation.unwrap_or(f32::INFINITY))?))
+    }
+
+    fn of(merged: Merged) -> Self {
         let state = |validity: &Validity| match validity {
             Validity::Measured => State::Seen { clipped: 0 },
             Validity::Clipped | Validity::Dark | Validity::Between => State::Missing,
         };
-        Ok(Self { states: merged.validity.iter().map(state).collect(), radiance: merged.radiance })
+        Self { states: merged.validity.iter().map(state).collect(), radiance: merged.radiance }
     }
+}
+
+/// What photographs show.
+#[derive(Debug, Clone, Copy)]
+pub enum Photographed<'a> {
+    /// A rectangle in z = 0, so long along x and y.
+    Rectangle([f32; 2]),
+    /// An object, by calibrated cameras.
+    Object {
+        /// What it stands in: all of it hides.
+        scene: &'a Scene,
+        /// Its name.
+        object: &'a str,
+    },
 }
 
 /// What to make of photographs.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ImportSettings {
-    /// Of the rectangle, along x and y.
-    pub size: [f32; 2],
     /// Texels along an edge.
     pub size_texels: u32,
     /// Name of the list, for people.
@@ -132,6 +165,31 @@ pub enum ImportError {
         /// Where.
         position: Vec3,
     },
+    /// The scene has no object of that name.
+    #[error("scene has no object {object:?}; it has {}", known.join(", "))]
+    UnknownObject {
+        /// As given.
+        object: String,
+        /// What there is.
+        known: Vec<String>,
+    },
+    /// The object's texture coordinates cover no texel's centre.
+    #[error("object {object:?} covers no texel of {size}x{size}: texture coordinates within [0, 1] expected, or more texels")]
+    NoTexels {
+        /// Which.
+        object: String,
+        /// Texels along an edge.
+        size: u32,
+    },
+    /// A photograph of an object does not say which camera took it.
+    #[error("photograph {file} of an object has no calibrated camera: transforms.json or COLMAP's images.txt expected")]
+    NoCamera {
+        /// Which.
+        file: String,
+    },
+    /// What hides cannot be found in the scene.
+    #[error(transparent)]
+    Trace(#[from] TraceError),
     /// Asked to stop; can be resumed.
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
@@ -151,14 +209,16 @@ const BAND_ENTRIES: usize = 1 << 24;
 /// Fills `staging` with pages and parts of an observation map; the caller publishes. `load(k)` gives photograph k of `views`, again for every
 /// band. Can be called again on a staging area that an earlier, identical call left unfinished.
 pub fn import(
+    photographed: Photographed<'_>,
     views: &[(String, PhotographView)],
     load: &(dyn Fn(usize) -> Result<RadiancePhotograph, ImportError> + Sync),
     settings: &ImportSettings,
     staging: &Staging,
     progress: &dyn Progress,
 ) -> Result<ObservationParameters, ImportError> {
-    check(views, settings)?;
-    let map = map_of(views, settings);
+    check(photographed, views, settings)?;
+    let map = map_of(photographed, views, settings)?;
+    let scenery = Scenery::new(photographed)?;
     let shape = map.page_shape(settings.pixel_format);
     let present = staging.pages_present();
     let per_page = TEXELS_PER_PAGE * views.len();
@@ -175,7 +235,7 @@ pub fn import(
             }
             let photograph = load(row)?;
             check_size(file, view, &photograph, &mut first_size)?;
-            let pixels = Pixels { photograph: &photograph, view, size: settings.size };
+            let pixels = Pixels { photograph: &photograph, view, scenery: &scenery };
             pages.par_iter_mut().zip(*band).for_each(|(entries, page)| {
                 for (column, texel) in map.texels_of_page(*page).iter().enumerate() {
                     entries[row * TEXELS_PER_PAGE + column] = pixels.observe(texel).to_texel();
@@ -204,7 +264,7 @@ fn rectangle([width, height]: [f32; 2]) -> SurfaceMesh {
     SurfaceMesh { mesh, part_of_triangle: vec![0, 0], parts: 1 }
 }
 
-fn check(views: &[(String, PhotographView)], settings: &ImportSettings) -> Result<(), ImportError> {
+fn check(photographed: Photographed<'_>, views: &[(String, PhotographView)], settings: &ImportSettings) -> Result<(), ImportError> {
     let refuse = |setting, value: String, expected: String| Err(ImportError::Setting { setting, value, expected });
     if !(1..=MOST_TEXELS_PER_EDGE).contains(&settings.size_texels) {
         return refuse("texels along an edge", settings.size_texels.to_string(), format!("1 to {MOST_TEXELS_PER_EDGE}"));
@@ -212,7 +272,14 @@ fn check(views: &[(String, PhotographView)], settings: &ImportSettings) -> Resul
     if !(1..=MOST_OBSERVATIONS as usize).contains(&views.len()) {
         return refuse("number of photographs", views.len().to_string(), format!("1 to {MOST_OBSERVATIONS}"));
     }
-    for (setting, length) in ["width", "height"].into_iter().zip(settings.size) {
+    let size = match photographed {
+        Photographed::Rectangle(size) => size,
+        Photographed::Object { .. } => {
+            let other = views.iter().find(|(_, view)| !matches!(view, PhotographView::Calibrated(_)));
+            return other.map_or(Ok(()), |(file, _)| Err(ImportError::NoCamera { file: file.clone() }));
+        }
+    };
+    for (setting, length) in ["width", "height"].into_iter().zip(size) {
         if !LENGTHS.contains(&length) {
             return refuse(setting, length.to_string(), format!("a length from {:e} to {:e}", LENGTHS.start(), LENGTHS.end()));
         }
@@ -245,22 +312,32 @@ fn check_size(
     if found == expected { Ok(()) } else { Err(ImportError::Size { file: file.into(), found, expected }) }
 }
 
-fn map_of(views: &[(String, PhotographView)], settings: &ImportSettings) -> ObservationMap {
-    let surface = rectangle(settings.size);
-    let size = settings.size_texels as usize;
-    let texels = surface_texels(&surface, 0, size);
-    let observed = |at: usize| {
-        let texel = texels[at]?;
-        Some(ObservedTexel { index: at as u32, position: texel.position, normal: texel.normal, tangent: texel.steps[0] })
+fn map_of(
+    photographed: Photographed<'_>,
+    views: &[(String, PhotographView)],
+    settings: &ImportSettings,
+) -> Result<ObservationMap, ImportError> {
+    let (surface, name) = match photographed {
+        Photographed::Rectangle(size) => (rectangle(size), "photographed surface"),
+        Photographed::Object { scene, object } => (SurfaceMesh::of(&scene.objects[found(scene, object)?]), object),
     };
+    let all = u64::from(surface.parts) * u64::from(settings.size_texels).pow(2);
+    if all > MOST_TEXELS {
+        let (value, expected) = (settings.size_texels.to_string(), format!("at most {MOST_TEXELS} in its {} parts", surface.parts));
+        return Err(ImportError::Setting { setting: "texels along an edge", value, expected });
+    }
+    let texels: Vec<ObservedTexel> = texels_of(&surface, settings.size_texels as usize).into_iter().map(|(observed, _)| observed).collect();
+    if texels.is_empty() {
+        return Err(ImportError::NoTexels { object: name.into(), size: settings.size_texels });
+    }
     let observer = |(_, view): &(String, PhotographView)| match view {
         PhotographView::Rectified { from } => Observer::At(*from),
         PhotographView::Lit { toward } => Observer::Toward(*toward),
         PhotographView::Calibrated(camera) => Observer::At(camera.camera.pose().position()),
     };
-    ObservationMap {
+    Ok(ObservationMap {
         parameters: ObservationParameters {
-            object: "photographed surface".into(),
+            object: name.into(),
             size_texels: settings.size_texels,
             directions: settings.list.clone(),
             samples_per_observation: 0,
@@ -269,8 +346,31 @@ fn map_of(views: &[(String, PhotographView)], settings: &ImportSettings) -> Obse
         },
         background: Background { surfaces: vec![], textures: vec![], environment: Environment::Constant(Vec3::ZERO) },
         observers: views.iter().map(observer).collect(),
-        texels: tiled_order(size).filter_map(observed).collect(),
+        texels,
         surface,
+    })
+}
+
+fn found(scene: &Scene, object: &str) -> Result<usize, ImportError> {
+    scene.object(object).ok_or_else(|| ImportError::UnknownObject { object: object.into(), known: names(scene) })
+}
+
+/// What stands between texels and cameras.
+enum Scenery {
+    /// Nothing; the rectangle has this size.
+    Rectangle([f32; 2]),
+    Scene(Visibility),
+}
+
+impl Scenery {
+    fn new(photographed: Photographed<'_>) -> Result<Self, ImportError> {
+        Ok(match photographed {
+            Photographed::Rectangle(size) => Self::Rectangle(size),
+            Photographed::Object { scene, object } => {
+                let (_, radius) = sphere_around(&scene.objects[found(scene, object)?]);
+                Self::Scene(Visibility::new(scene, radius)?)
+            }
+        })
     }
 }
 
@@ -278,23 +378,29 @@ fn map_of(views: &[(String, PhotographView)], settings: &ImportSettings) -> Obse
 struct Pixels<'a> {
     photograph: &'a RadiancePhotograph,
     view: &'a PhotographView,
-    size: [f32; 2],
+    scenery: &'a Scenery,
 }
 
 impl Pixels<'_> {
     fn observe(&self, texel: &ObservedTexel) -> Observation {
-        match self.image_of(texel.position) {
+        match self.image_of(texel) {
             Some(at) => self.bilinear(at),
             None => Observation::MISSING,
         }
     }
 
-    // Where a surface point is imaged: pixels, centres at half integers, y down.
-    fn image_of(&self, point: Vec3) -> Option<Vec2> {
-        match self.view {
-            PhotographView::Calibrated(camera) => camera.project(point),
-            PhotographView::Rectified { .. } | PhotographView::Lit { .. } => {
-                let uv = point.truncate() / Vec2::from(self.size) + 0.5;
+    // Where a texel's centre is imaged: pixels, centres at half integers, y down.
+    fn image_of(&self, texel: &ObservedTexel) -> Option<Vec2> {
+        let point = texel.position;
+        match (self.view, self.scenery) {
+            (PhotographView::Calibrated(camera), Scenery::Rectangle(_)) => camera.project(point),
+            (PhotographView::Calibrated(camera), Scenery::Scene(visibility)) => {
+                visibility.is_seen(texel, camera.camera.pose().position()).then(|| camera.project(point))?
+            }
+            // Of an object there are none.
+            (PhotographView::Rectified { .. } | PhotographView::Lit { .. }, Scenery::Scene(_)) => None,
+            (PhotographView::Rectified { .. } | PhotographView::Lit { .. }, Scenery::Rectangle(size)) => {
+                let uv = point.truncate() / Vec2::from(*size) + 0.5;
                 let pixels = Vec2::new(self.photograph.radiance.width as f32, self.photograph.radiance.height as f32);
                 Some(Vec2::new(uv.x, 1.0 - uv.y) * pixels)
             }
@@ -349,7 +455,7 @@ mod tests {
 
     fn settings() -> ImportSettings {
         let (pixel_format, codec) = (PixelFormat::F32, Codec::ZstdChunk);
-        ImportSettings { size: [2.0, 1.0], size_texels: 10, list: "list.json".into(), pixel_format, codec }
+        ImportSettings { size_texels: 10, list: "list.json".into(), pixel_format, codec }
     }
 
     // [photograph][row · 10 + column]
@@ -358,7 +464,8 @@ mod tests {
         let (store, _) = Store::open(folder.path(), StoreOptions::local()).unwrap();
         store.create_dataset("seen").unwrap();
         let staging = store.stage("seen", "token").unwrap();
-        let parameters = import(views, &|k| Ok(pictures[k].clone()), &settings(), &staging, &Unattended)?;
+        let parameters =
+            import(Photographed::Rectangle([2.0, 1.0]), views, &|k| Ok(pictures[k].clone()), &settings(), &staging, &Unattended)?;
         let publication = Publication {
             kind: "observation_map".into(),
             parameters: serde_json::Value::Null,
@@ -447,7 +554,7 @@ mod tests {
         store.create_dataset("seen").unwrap();
         let staging = store.stage("seen", "token").unwrap();
         let load = |_: usize| Ok(ramp(4, 4, 0.5));
-        let of_size = |size| import(&[rectified(1.0)], &load, &ImportSettings { size, ..settings() }, &staging, &Unattended);
+        let of_size = |size| import(Photographed::Rectangle(size), &[rectified(1.0)], &load, &settings(), &staging, &Unattended);
         assert_eq!(
             of_size([1e-30, 1.0]).unwrap_err().to_string(),
             "width is 0.000000000000000000000000000001, a length from 1e-9 to 1e9 expected"
@@ -472,7 +579,8 @@ mod tests {
             reads.fetch_add(1, Ordering::Relaxed);
             Ok(ramp(4, 4, 0.5))
         };
-        import(&[rectified(1.0), rectified(2.0), rectified(3.0)], &load, &settings(), &staging, &Unattended).unwrap();
+        let views = [rectified(1.0), rectified(2.0), rectified(3.0)];
+        import(Photographed::Rectangle([2.0, 1.0]), &views, &load, &settings(), &staging, &Unattended).unwrap();
         assert_eq!(reads.load(Ordering::Relaxed), 3);
     }
 }

@@ -4,7 +4,10 @@ use glam::Vec3;
 
 use super::*;
 use crate::capture::PartsError;
+use crate::formats::photograph_list::PhotographView;
+use crate::geometry::{Camera, Distortion, Intrinsics, PhotographCamera, Pose};
 use crate::progress::Unattended;
+use crate::raytrace::{TraceSettings, Tracer};
 use crate::scenes::{BuiltinOptions, LoadOptions, Scene, SceneBundle, builtin, load};
 use crate::textures::{Codec, DatasetVersion, PageId, Publication, Store, StoreOptions};
 
@@ -206,4 +209,109 @@ fn parts_that_contradict_each_other_are_refused() {
     let mut blind = map.clone();
     blind.observers[2] = Observer::Toward(Vec3::ZERO);
     assert_eq!([twice, beyond, aslant, blind].map(|m| reload(&m)), [Err("texels"), Err("texels"), Err("texels"), Err("observers")]);
+}
+
+/// A camera at each observer's place whose picture shows the whole square, and that picture by the path tracer.
+fn photographs_of(scene: &Scene, map: &ObservationMap) -> Vec<(PhotographCamera, RadiancePhotograph)> {
+    let trace = TraceSettings { samples_per_pixel: 64, max_bounces: 1, seed: 5 };
+    let tracer = Tracer::new(scene).unwrap();
+    let taken = |(k, observer): (usize, &Observer)| {
+        let Observer::At(place) = observer else { panic!("cameras") };
+        let up = if place.normalize().y > 0.9 { Vec3::Z } else { Vec3::Y };
+        let pose = Pose::look_at(*place, Vec3::new(0.05, 0.0, -0.1), up).unwrap();
+        let camera = Camera::new(Intrinsics::from_vfov(13.0, 96, 96).unwrap(), pose).unwrap();
+        let traced = tracer.render(&camera, &trace, &Unattended).unwrap();
+        let states = vec![State::Seen { clipped: 0 }; 96 * 96];
+        let distortion = Distortion::new([0.0; 4]).unwrap();
+        (PhotographCamera { file: format!("{k}.exr"), camera, distortion }, RadiancePhotograph { radiance: traced.radiance, states })
+    };
+    map.observers.iter().enumerate().map(taken).collect()
+}
+
+/// What importing photographs of an object of the scene gives, its entries.
+fn imported(
+    scene: &Scene,
+    object: &str,
+    views: &[(String, PhotographView)],
+    pictures: &[RadiancePhotograph],
+) -> Result<Vec<(ObservedTexel, Observer, Observation)>, ImportError> {
+    let folder = tempfile::tempdir().unwrap();
+    let (store, _) = Store::open(folder.path(), StoreOptions::local()).unwrap();
+    store.create_dataset("seen").unwrap();
+    let staging = store.stage("seen", "token").unwrap();
+    let (pixel_format, codec) = (PixelFormat::F32, Codec::ZstdChunk);
+    let settings = ImportSettings { size_texels: 20, list: "transforms.json".into(), pixel_format, codec };
+    let load = |k: usize| Ok(pictures[k].clone());
+    let parameters = import(Photographed::Object { scene, object }, views, &load, &settings, &staging, &Unattended)?;
+    let publication = Publication {
+        kind: OBSERVATION_MAP.into(),
+        parameters: serde_json::Value::Null,
+        inputs: Default::default(),
+        code_version: "test".into(),
+        created_unix_millis: 0,
+    };
+    let version = staging.publish(publication).unwrap();
+    let map = from_parts::<PartsError>(parameters, &|name| Ok(version.blob(name).unwrap())).unwrap();
+    Ok(entries(&map, &version))
+}
+
+#[test]
+fn photographs_of_an_object_show_what_the_path_tracer_sees_of_it_texel_by_texel() {
+    // Shadows of the sky on two of the square's four sides: turned or mirrored, it would look different.
+    let wall = r#"{"name": "wall", "shape": {"type": "rect", "corner": [0.52, 0, 0.3], "edge_u": [0, 0, -0.9], "edge_v": [0, 0.4, 0]}, "material": "black"},
+        {"name": "other", "shape": {"type": "rect", "corner": [-0.2, 0, -0.52], "edge_u": [0.7, 0, 0], "edge_v": [0, 0.2, 0]}, "material": "black"},"#;
+    let scene = scene(wall);
+    let (map, version, _folder) = observed(&scene, &ObserveSettings { samples_per_observation: 256, ..settings() });
+    let (cameras, pictures): (Vec<_>, Vec<_>) = photographs_of(&scene, &map).into_iter().unzip();
+    let views: Vec<_> = cameras.into_iter().map(|c| (c.file.clone(), PhotographView::Calibrated(c))).collect();
+    let (traced, photographed) = (entries(&map, &version), imported(&scene, "plane", &views, &pictures).unwrap());
+    let (mut hidden, mut error, mut spread, mut seen) = (0, 0.0, 0.0, 0);
+    for ((texel, _, one), (other_texel, _, other)) in traced.iter().zip(&photographed) {
+        assert_eq!(texel, other_texel);
+        assert_eq!(one.state, other.state, "{texel:?}");
+        hidden += usize::from(one.state == State::Missing);
+        // The outermost texels' pixels show what is beside the square, too.
+        let (column, row) = (texel.index % 20, texel.index / 20);
+        if one.state != State::Missing && (1..19).contains(&column) && (1..19).contains(&row) {
+            error += f64::from(one.radiance[0] - other.radiance[0]).powi(2);
+            spread += f64::from(one.radiance[0] - 0.35).powi(2);
+            seen += 1;
+        }
+    }
+    let (error, spread) = ((error / f64::from(seen)).sqrt(), (spread / f64::from(seen)).sqrt());
+    assert!(hidden > 200 && seen > 3000, "{hidden} hidden, {seen} compared");
+    // 64 paths a pixel, four pixels: .5/√256 of noise, and what pixels beside a wall's edge mix in; the shadows are twice as deep.
+    assert!(error < 0.05 && spread > 2.0 * error, "error {error}, shadows {spread}");
+}
+
+#[test]
+fn photographs_of_an_object_that_cannot_be_used_are_named() {
+    let scene = scene("");
+    let pose = Pose::look_at(Vec3::new(0.0, 7.0, 1.0), Vec3::ZERO, Vec3::Y).unwrap();
+    let camera = Camera::new(Intrinsics::from_vfov(13.0, 4, 4).unwrap(), pose).unwrap();
+    let camera = PhotographCamera { file: "a.exr".into(), camera, distortion: Distortion::new([0.0; 4]).unwrap() };
+    let picture = RadiancePhotograph { radiance: crate::images::Image::zeros(4, 4, 3), states: vec![State::Seen { clipped: 0 }; 16] };
+    let refused = |object: &str, view: PhotographView| {
+        imported(&scene, object, &[("a.exr".to_string(), view)], std::slice::from_ref(&picture)).unwrap_err().to_string()
+    };
+    assert_eq!(refused("pot", PhotographView::Calibrated(camera)), r#"scene has no object "pot"; it has plane"#);
+    let lit = refused("plane", PhotographView::Lit { toward: Vec3::Z });
+    assert_eq!(lit, "photograph a.exr of an object has no calibrated camera: transforms.json or COLMAP's images.txt expected");
+}
+
+#[test]
+fn scene_linear_exposures_are_merged_and_clipped_where_they_are_full() {
+    let exposure = |scale: f32| {
+        let mut picture = crate::images::Image::zeros(3, 1, 3);
+        [0.2, 3.0, 40.0].iter().enumerate().for_each(|(at, value)| picture.set_rgb(at, [scale * value; 3].map(|v: f32| v.min(1.0))));
+        picture
+    };
+    let merged = RadiancePhotograph::merged_linear(&[exposure(1.0), exposure(0.125)], &[1.0, 0.125], Some(1.0)).unwrap();
+    let close = |at: usize, value: f32| (merged.radiance.rgb(at)[0] / value - 1.0).abs() < 1e-5;
+    assert!(close(0, 0.2) && close(1, 3.0), "{:?}", merged.radiance.planes[0]);
+    assert_eq!(merged.states, [State::Seen { clipped: 0 }, State::Seen { clipped: 0 }, State::Missing]);
+    let file = crate::images::encode_exr_rgb(&exposure(1.0), crate::images::ExrStorage::Float).unwrap();
+    let alone = |saturation| RadiancePhotograph::decode(&file, Response::Srgb, saturation).unwrap().states;
+    assert_eq!(alone(Some(1.0)), [State::Seen { clipped: 0 }, State::Seen { clipped: 7 }, State::Seen { clipped: 7 }]);
+    assert_eq!(alone(None), [State::Seen { clipped: 0 }; 3]);
 }

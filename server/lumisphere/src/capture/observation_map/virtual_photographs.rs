@@ -16,7 +16,7 @@ use crate::directions::Scheme;
 use crate::geometry::{Ray, TangentFrame};
 use crate::progress::{Cancelled, Progress};
 use crate::raytrace::{TraceError, TraceSettings, Tracer};
-use crate::scenes::Scene;
+use crate::scenes::{Object, Scene};
 use crate::textures::{Codec, PageId, PixelFormat, Staging, StoreError, encode_as};
 
 /// What to photograph and how. Lengths are in the scene's unit.
@@ -53,6 +53,16 @@ pub enum Coverage {
     Hemisphere,
     /// Those, and their opposites.
     Sphere,
+}
+
+impl Coverage {
+    /// How many directions stand for one of the scheme.
+    pub fn sides(self) -> usize {
+        match self {
+            Self::Hemisphere => 1,
+            Self::Sphere => 2,
+        }
+    }
 }
 
 /// Why nothing was observed.
@@ -158,8 +168,7 @@ fn check(settings: &ObserveSettings) -> Result<(), ObserveError> {
     within("texels along an edge", settings.size_texels, 1, MOST_TEXELS_PER_EDGE)?;
     within("samples per observation", settings.samples_per_observation, 1, 65_536)?;
     within("max bounces", settings.max_bounces, 1, 64)?;
-    let per_direction = if settings.coverage == Coverage::Sphere { 2 } else { 1 };
-    let observations = settings.directions.directions().len() as u32 * per_direction;
+    let observations = (settings.directions.count() * settings.coverage.sides()) as u32;
     within("number of observations", observations, 1, MOST_OBSERVATIONS)?;
     if !(settings.distance_radii > 1.0 && settings.distance_radii.is_finite()) {
         let value = settings.distance_radii.to_string();
@@ -173,8 +182,8 @@ fn check(settings: &ObserveSettings) -> Result<(), ObserveError> {
     }
 }
 
-// Weighted by area; +Y where the surface faces all ways alike.
-fn mean_normal(surface: &SurfaceMesh) -> Vec3 {
+/// Unit, world space, weighted by area; +Y where the surface faces all ways alike.
+pub fn mean_normal(surface: &SurfaceMesh) -> Vec3 {
     let mesh = &surface.mesh;
     let turned = |t: usize| {
         let (area, [i, j, k]) = (mesh.area_vector(t), mesh.triangles[t].map(|v| mesh.normals[v as usize]));
@@ -187,19 +196,36 @@ fn mean_normal(surface: &SurfaceMesh) -> Vec3 {
 }
 
 fn cameras(settings: &ObserveSettings, axis: Vec3, center: Vec3, radius: f32) -> Vec<Observer> {
-    let frame = TangentFrame::around(axis);
     let distance = settings.distance_radii * radius;
-    let above = settings.directions.directions();
+    let directions = directions_about(&settings.directions, settings.coverage, axis);
+    directions.into_iter().map(|d| Observer::At(center + distance * d)).collect()
+}
+
+/// A scheme's directions, and behind them their opposites where they are covered: unit, world space. `axis`: unit, the scheme's zenith.
+pub fn directions_about(scheme: &Scheme, coverage: Coverage, axis: Vec3) -> Vec<Vec3> {
+    let frame = TangentFrame::around(axis);
+    let above = scheme.directions();
     let opposite = above.iter().map(|d| -*d);
-    let all: Vec<Vec3> = match settings.coverage {
+    let all: Vec<Vec3> = match coverage {
         Coverage::Hemisphere => above.clone(),
         Coverage::Sphere => above.iter().copied().chain(opposite).collect(),
     };
-    all.into_iter().map(|d| Observer::At(center + distance * frame.world_from_local(d))).collect()
+    all.into_iter().map(|d| frame.world_from_local(d)).collect()
 }
 
-// In the map's order.
-fn texels_of(surface: &SurfaceMesh, size: usize) -> Vec<(ObservedTexel, SurfaceTexel)> {
+/// Of a scene's objects, for those who asked for another.
+pub(super) fn names(scene: &Scene) -> Vec<String> {
+    scene.objects.iter().map(|object| object.name.clone()).collect()
+}
+
+/// Centre and radius.
+pub(super) fn sphere_around(object: &Object) -> (Vec3, f32) {
+    let (low, high) = object.mesh.bounds();
+    (0.5 * (low + high), 0.5 * (high - low).length())
+}
+
+/// In the map's order.
+pub(super) fn texels_of(surface: &SurfaceMesh, size: usize) -> Vec<(ObservedTexel, SurfaceTexel)> {
     let of_part = |part: u32| {
         let texels = surface_texels(surface, part, size);
         let observed = move |at: usize| {
@@ -212,12 +238,30 @@ fn texels_of(surface: &SurfaceMesh, size: usize) -> Vec<(ObservedTexel, SurfaceT
     (0..surface.parts).into_par_iter().flat_map_iter(of_part).collect()
 }
 
+/// What hides a surface's points from cameras.
+pub(super) struct Visibility {
+    tracer: Tracer,
+    lift: f32,
+}
+
+impl Visibility {
+    /// `radius`: of the object in the scene, for lengths that mean nothing.
+    pub fn new(scene: &Scene, radius: f32) -> Result<Self, TraceError> {
+        Ok(Self { tracer: Tracer::new(scene)?, lift: LIFT_PER_RADIUS * radius })
+    }
+
+    /// Whether a camera stands above the texel's horizon, and nothing stands between them.
+    pub fn is_seen(&self, texel: &ObservedTexel, camera: Vec3) -> bool {
+        let above = (camera - texel.position).normalize_or_zero().dot(texel.normal) > LEAST_COSINE;
+        above && !self.tracer.occluded(texel.position + self.lift * texel.normal, camera)
+    }
+}
+
 /// Everything that stands before the first photograph.
 struct Shoot {
-    tracer: Tracer,
+    visibility: Visibility,
     map: ObservationMap,
     seen: Vec<SurfaceTexel>,
-    lift: f32,
     trace: TraceSettings,
 }
 
@@ -228,15 +272,13 @@ impl Shoot {
         wanted: &dyn Fn(&ObservedTexel) -> bool,
         progress: &dyn Progress,
     ) -> Result<Self, ObserveError> {
-        let index = scene.object(&settings.object).ok_or_else(|| ObserveError::UnknownObject {
-            object: settings.object.clone(),
-            known: scene.objects.iter().map(|o| o.name.clone()).collect(),
-        })?;
+        let index = scene
+            .object(&settings.object)
+            .ok_or_else(|| ObserveError::UnknownObject { object: settings.object.clone(), known: names(scene) })?;
         check(settings)?;
         let object = &scene.objects[index];
-        let (low, high) = object.mesh.bounds();
-        let (center, radius) = (0.5 * (low + high), 0.5 * (high - low).length());
-        let tracer = Tracer::new(scene)?;
+        let (center, radius) = sphere_around(object);
+        let visibility = Visibility::new(scene, radius)?;
         let surface = SurfaceMesh::of(object);
         let all = u64::from(surface.parts) * u64::from(settings.size_texels).pow(2);
         if all > MOST_TEXELS {
@@ -248,7 +290,7 @@ impl Shoot {
         let trace =
             TraceSettings { samples_per_pixel: settings.samples_per_observation, max_bounces: settings.max_bounces, seed: settings.seed };
         let bake = TraceSettings { samples_per_pixel: BACKGROUND_SAMPLES, ..trace };
-        let background = bake_background(scene, index, (center, radius), &tracer, &bake, progress)?;
+        let background = bake_background(scene, index, (center, radius), &visibility.tracer, &bake, progress)?;
         let (texels, seen): (Vec<ObservedTexel>, Vec<SurfaceTexel>) =
             texels_of(&surface, settings.size_texels as usize).into_iter().filter(|(texel, _)| wanted(texel)).unzip();
         if texels.is_empty() {
@@ -263,7 +305,7 @@ impl Shoot {
             seed: settings.seed,
         };
         let map = ObservationMap { parameters, surface, background, observers, texels };
-        Ok(Self { tracer, map, seen, lift: LIFT_PER_RADIUS * radius, trace })
+        Ok(Self { visibility, map, seen, trace })
     }
 
     fn fill(&self, settings: &ObserveSettings, staging: &Staging, progress: &dyn Progress) -> Result<(), ObserveError> {
@@ -304,7 +346,7 @@ impl Shoot {
             Ray { origin: camera, direction: (target - camera).normalize() }
         };
         let first_entry = (first * self.map.observers.len()) as u64;
-        let radiance = self.tracer.radiance_along(visible.len(), first_entry, &ray, &self.trace);
+        let radiance = self.visibility.tracer.radiance_along(visible.len(), first_entry, &ray, &self.trace);
         for ((row, column, _), radiance) in visible.iter().zip(radiance) {
             let seen = Observation { radiance: radiance.to_array(), state: State::Seen { clipped: 0 } };
             entries[row * TEXELS_PER_PAGE + column] = seen.to_texel();
@@ -314,7 +356,6 @@ impl Shoot {
 
     fn camera_that_sees(&self, texel: usize, observer: usize) -> Option<Vec3> {
         let (texel, Observer::At(camera)) = (&self.map.texels[texel], self.map.observers[observer]) else { return None };
-        let above = (camera - texel.position).normalize_or_zero().dot(texel.normal) > LEAST_COSINE;
-        (above && !self.tracer.occluded(texel.position + self.lift * texel.normal, camera)).then_some(camera)
+        self.visibility.is_seen(texel, camera).then_some(camera)
     }
 }

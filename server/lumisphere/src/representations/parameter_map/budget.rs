@@ -5,6 +5,8 @@
 //! by slope (Shoham and Gersho 1988, "Efficient bit allocation for an arbitrary set of quantizers"). The residual is the least for its size,
 //! but for that of the last step taken and for the width of a bin.
 //!
+//! What a smaller model loses of a highlight that is clipped counts as far as it stays below the bound.
+//!
 //! Slopes are counted in bins, not held: memory does not grow with the map. Steps of one bin are taken in the map's order.
 
 use super::models::{FittedRung, FittedTexel};
@@ -27,8 +29,9 @@ struct Step {
 /// Down the hull from the model chosen, slopes rising. A smaller model that leaves no more than the chosen one costs nothing.
 fn steps(rungs: &[FittedRung]) -> Vec<Step> {
     let Some(last) = rungs.len().checked_sub(1) else { return Vec::new() };
-    let least = rungs[last].sum_of_squares;
-    let error = |at: usize| rungs[at].sum_of_squares.max(least);
+    let left = |at: usize| rungs[at].sum_of_squares + rungs[at].of_clipped;
+    let least = left(last);
+    let error = |at: usize| left(at).max(least);
     let size = |at: usize| rungs[at].quads.len();
     let (mut steps, mut from) = (Vec::new(), last);
     loop {
@@ -120,7 +123,7 @@ mod tests {
     use super::*;
 
     fn rung(quads: usize, sum_of_squares: f64) -> FittedRung {
-        FittedRung { code: 1, flags: 0, quads: vec![[0.0; 4]; quads], sum_of_squares }
+        FittedRung { code: 1, flags: 0, quads: vec![[0.0; 4]; quads], sum_of_squares, of_clipped: 0.0 }
     }
 
     // Some texels with two to five models of sizes 1 … 27, residuals falling with size.
@@ -233,6 +236,18 @@ mod tests {
                 assert!(error < at_random, "{quads} quads: {error} left, {at_random} at random");
             }
         }
+    }
+
+    #[test]
+    fn a_clipped_highlight_that_a_smaller_model_loses_counts() {
+        let lost = FittedRung { of_clipped: 5.0, ..rung(1, 1.0) };
+        let texels: Vec<FittedTexel> = [vec![lost, rung(3, 1.0)], vec![rung(1, 2.0), rung(3, 1.0)]]
+            .into_iter()
+            .map(|rungs| FittedTexel { index: 0, samples: 30, rungs })
+            .collect();
+        let mut keeping = savings(&texels).keeping(4);
+        let sizes: Vec<usize> = texels.iter().map(|texel| keeping.next(texel).unwrap().quads.len()).collect();
+        assert_eq!(sizes, [3, 1]);
     }
 
     #[test]

@@ -13,12 +13,13 @@ use super::budget::{Keeping, Savings};
 use super::kept_models::KeptModels;
 use super::models::{AllowedModels, FittedTexel, HowToFit, Rungs, fit_texels};
 use super::packed_pages::{Packed, StorePage, pack};
+use super::registration::{Comparison, Registration, Tile};
 use super::summary::{BudgetReport, FitSummary, Tally};
-use super::{ParameterMap, Parameters, PartialFit, TexelTable, to_parts};
+use super::{ModelCode, ParameterMap, Parameters, PartialFit, TexelTable, to_parts};
 use crate::capture::PartsError;
 use crate::capture::observation_map::{Observation, ObservationMap, ObservedTexel, State, TEXELS_PER_PAGE};
 use crate::fitting::harmonics::HarmonicsFitError;
-use crate::fitting::{Noise, Outliers, Precision, SettingsError};
+use crate::fitting::{Model, Noise, Outliers, Precision, SettingsError};
 use crate::progress::{Cancelled, Progress, Unattended};
 use crate::textures::{Codec, Page, PageId, PixelFormat, Staging, StoreError};
 
@@ -129,6 +130,8 @@ pub enum FitError {
 const BATCH: usize = 32;
 // Sizes that are tried for a bound on bytes lie so many parts of what can be saved apart.
 const SIZES: u64 = 1 << 12;
+// Pages whose texels say whether photographs lie on each other: two thousand texels are enough.
+const PAGES_COMPARED: usize = 32;
 
 /// Fits what `source` has and fills `staging` with pages and parts; the caller publishes. Can be called again on a staging area that an earlier,
 /// identical call left unfinished.
@@ -139,12 +142,14 @@ pub fn construct(
     follow: &dyn FollowFit,
 ) -> Result<(Parameters, FitSummary), FitError> {
     let fit = Fit { source, settings, models: KeptModels { staging } };
-    let (of_this_run, seconds) = fit.all(follow)?;
+    let how = fit.how()?;
+    let (of_this_run, seconds) = fit.all(&how, follow)?;
+    let registration = Some(fit.registration(how.noise, follow)?);
     let (keeping, budget) = fit.choose(follow)?;
     follow.report("packing", 0, 1);
     let (parameters, packed) = fit.store(fit.batches(), keeping, staging, None)?;
     let budget = budget.map(|(bytes, before)| BudgetReport { bytes, texels_reduced: packed.reduced, ..before });
-    Ok((parameters, FitSummary { budget, ..packed.tally.summary(of_this_run, seconds) }))
+    Ok((parameters, FitSummary { registration, budget, ..packed.tally.summary(of_this_run, seconds) }))
 }
 
 /// Models of the first texels, while others are still to be fitted.
@@ -180,16 +185,20 @@ impl Fit<'_> {
         size * size * self.source.map.surface.parts as usize
     }
 
-    /// Fits what no earlier run has; how many texels, in how many seconds.
-    fn all(&self, follow: &dyn FollowFit) -> Result<(u64, f64), FitError> {
-        let (map, settings) = (self.source.map, self.settings);
-        let how = HowToFit {
+    fn how(&self) -> Result<HowToFit, FitError> {
+        let settings = self.settings;
+        Ok(HowToFit {
             models: settings.models,
             noise: Noise { floor: self.noise_floor()?, relative: settings.relative_noise },
             outliers: settings.outliers,
             precision: settings.precision,
             rungs: if settings.max_bytes.is_some() { Rungs::AndSmaller } else { Rungs::Chosen },
-        };
+        })
+    }
+
+    /// Fits what no earlier run has; how many texels, in how many seconds.
+    fn all(&self, how: &HowToFit, follow: &dyn FollowFit) -> Result<(u64, f64), FitError> {
+        let map = self.source.map;
         let (mut tally, mut of_this_run, mut seconds) = (Tally::new(), 0, 0.0);
         for batch in 0..self.batches() {
             let (done, total) = ((batch * BATCH * TEXELS_PER_PAGE) as u64, map.texels.len() as u64);
@@ -203,7 +212,7 @@ impl Fit<'_> {
                 Some(texels) => texels,
                 None => {
                     let begun = Instant::now();
-                    let texels = self.batch(batch, &how)?;
+                    let texels = self.batch(batch, how)?;
                     (of_this_run, seconds) = (of_this_run + texels.len() as u64, seconds + begun.elapsed().as_secs_f64());
                     self.models.keep(batch, &texels)?;
                     texels
@@ -236,6 +245,29 @@ impl Fit<'_> {
         let observed =
             columns.iter().enumerate().map(|(column, texel)| (texel, observations_of(map, texel, &pixels, column))).collect::<Vec<_>>();
         fit_texels(&observed, how)
+    }
+
+    /// Which photographs lie beside the others, by some pages' models.
+    fn registration(&self, noise: Noise, follow: &dyn FollowFit) -> Result<Registration, FitError> {
+        let (map, compared) = (self.source.map, self.source.map.page_count().min(PAGES_COMPARED));
+        let mut comparison = Comparison::new(map.observers.len(), noise);
+        for done in 0..compared {
+            follow.report("comparing photographs", done as u64, compared as u64);
+            if follow.is_cancelled() {
+                return Err(Cancelled.into());
+            }
+            let page = done * map.page_count() / compared;
+            let (pixels, kept, first) = (self.read(page)?, self.kept(page / BATCH)?, page % BATCH * TEXELS_PER_PAGE);
+            let texels = map.texels_of_page(page);
+            let model = |texel: &FittedTexel| texel.rungs.last().and_then(|rung| ModelCode::from_number(rung.code)?.unpack(&rung.quads));
+            let models: Vec<Option<Model>> = kept.iter().skip(first).take(texels.len()).map(model).collect();
+            let seen = |column: usize, row: usize| {
+                let direction = texels[column].direction_to(&map.observers[row]).to_array();
+                (direction, Observation::from_texel(pixels.texel(column as u32, row as u32)))
+            };
+            comparison.add(&Tile { texels, models: &models, size: map.parameters.size_texels, seen: &seen });
+        }
+        Ok(comparison.report())
     }
 
     fn read(&self, page: usize) -> Result<std::sync::Arc<Page>, FitError> {

@@ -20,8 +20,10 @@ mod models;
 mod packed_pages;
 mod packing;
 mod reference;
+mod registration;
 mod shade;
 mod storage;
+mod suggest;
 mod summary;
 #[cfg(test)]
 pub(crate) mod tests;
@@ -46,7 +48,11 @@ pub use construct::{ConstructSettings, FitError, FitSource, FollowFit, PartialMa
 pub(crate) use kernel::SOURCE as KERNEL_SOURCE;
 pub use models::{AllowedModels, Observed, UnknownModels, fitted_models};
 pub use packing::{ModelCode, Quads};
+pub use registration::{Registration, Shifted};
 pub use storage::{from_parts, to_parts};
+pub use suggest::{
+    MOST_CANDIDATES, MOST_SUGGESTIONS, Paged, SuggestError, SuggestSettings, SuggestedDirection, Suggestions, suggest_directions,
+};
 pub use summary::{BudgetReport, FitSummary};
 
 /// Quads along a page's row.

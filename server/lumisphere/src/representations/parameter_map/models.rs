@@ -86,6 +86,8 @@ pub(super) struct FittedRung {
     pub quads: Quads,
     /// What the model leaves, over all `samples`.
     pub sum_of_squares: f64,
+    /// What it leaves of observations that are clipped in any channel: of a clipped one, how far it stays below.
+    pub of_clipped: f64,
 }
 
 /// How texels are fitted.
@@ -202,12 +204,27 @@ fn state(state: Seen) -> State {
 // A model that cannot be stored is none.
 fn packed(seen: &[([f32; 3], Observation)], model: &Model, flags: Flags) -> Option<FittedRung> {
     let (code, quads) = ModelCode::pack(model);
-    let residual = |(direction, observation): &([f32; 3], Observation)| {
+    let sum_of_squares = seen.iter().filter_map(|entry| residual(model, entry)).sum();
+    let of_clipped = seen.iter().filter_map(|entry| residual_of_clipped(model, entry)).sum();
+    (code != ModelCode::NONE).then(|| FittedRung { code: code.number(), flags: flags.bits(), quads, sum_of_squares, of_clipped })
+}
+
+/// What a model leaves of an observation: the sum over the channels of the squares; None where it was not seen whole.
+pub(super) fn residual(model: &Model, entry: &([f32; 3], Observation)) -> Option<f64> {
+    is_whole(entry).then(|| {
+        let (said, seen) = (model.eval(entry.0), entry.1.radiance);
+        (0..3).map(|c| f64::from(said[c] - seen[c]).powi(2)).sum()
+    })
+}
+
+// The same of an observation that is clipped in any channel: a clipped value is a lower bound.
+fn residual_of_clipped(model: &Model, (direction, observation): &([f32; 3], Observation)) -> Option<f64> {
+    let Seen::Seen { clipped: clipped @ 1.. } = observation.state else { return None };
+    (direction[2] > 0.0).then(|| {
         let said = model.eval(*direction);
-        (0..3).map(|c| f64::from(said[c] - observation.radiance[c]).powi(2)).sum::<f64>()
-    };
-    let sum_of_squares = seen.iter().filter(|entry| is_whole(entry)).map(residual).sum();
-    (code != ModelCode::NONE).then(|| FittedRung { code: code.number(), flags: flags.bits(), quads, sum_of_squares })
+        let below = |c: usize| f64::from(observation.radiance[c] - said[c]);
+        (0..3).map(|c| if clipped >> c & 1 != 0 { below(c).max(0.0) } else { below(c) }.powi(2)).sum()
+    })
 }
 
 fn samples(seen: &[([f32; 3], Observation)]) -> u64 {
@@ -215,7 +232,7 @@ fn samples(seen: &[([f32; 3], Observation)]) -> u64 {
 }
 
 // Seen from above the horizon, no channel clipped.
-fn is_whole((direction, observation): &([f32; 3], Observation)) -> bool {
+pub(super) fn is_whole((direction, observation): &([f32; 3], Observation)) -> bool {
     direction[2] > 0.0 && observation.state == Seen::Seen { clipped: 0 }
 }
 

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use super::ModelCode;
 use super::models::{FittedRung, FittedTexel};
+use super::registration::Registration;
 use crate::fitting::Flags;
 
 /// What came of the fits, over all texels that were observed.
@@ -27,6 +28,9 @@ pub struct FitSummary {
     pub median_residual: f64,
     /// and 95 of a hundred (to 1 %).
     pub p95_residual: f64,
+    /// Photographs that lie beside the others; absent while texels are still being fitted.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub registration: Option<Registration>,
     /// What the bound on bytes did; absent where there was none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub budget: Option<BudgetReport>,
@@ -114,6 +118,7 @@ impl Tally {
             rms_residual: self.rms_residual(),
             median_residual: self.quantile(0.5),
             p95_residual: self.quantile(0.95),
+            registration: None,
             budget: None,
         }
     }
@@ -128,7 +133,13 @@ mod tests {
         let mut tally = Tally::new();
         for i in 1..=1000 {
             let rms = 0.001 * f64::from(i);
-            let rung = FittedRung { code: 3, flags: if i <= 10 { 3 } else { 8 }, quads: vec![], sum_of_squares: 30.0 * rms * rms };
+            let rung = FittedRung {
+                code: 3,
+                flags: if i <= 10 { 3 } else { 8 },
+                quads: vec![],
+                sum_of_squares: 30.0 * rms * rms,
+                of_clipped: 7.0,
+            };
             tally.add(&FittedTexel { index: 0, samples: 30, rungs: vec![] }, &rung);
         }
         let summary = tally.summary(500, 0.25);

@@ -1,9 +1,9 @@
 //! A measured BRDF on the device: brought when the first frame that shows it is drawn, until one with another is.
 
 use super::super::{GlossBrdf, Settings};
-use super::light::{texture, view};
+use super::light::view;
 use super::{Kernel, gloss};
-use crate::gpu::Gpu;
+use crate::gpu::{Gpu, float_texture};
 use crate::radiometry::brdf::{BrdfUniform, Measured};
 use crate::representations::page_source::CountingSource;
 use crate::representations::{FrameRequest, RenderError};
@@ -22,7 +22,7 @@ const ROWS: usize = Measured::TEXELS.div_ceil(WIDTH);
 
 impl TableTexture {
     pub fn none(gpu: &Gpu) -> Self {
-        let texture = texture(gpu, 1, &[[0.0; 4]]);
+        let texture = float_texture(gpu, "table", 1, &[[0.0; 4]]);
         Self { view: view(&texture), texture, held: None }
     }
 
@@ -66,7 +66,7 @@ impl Kernel {
         }
         let mut texels: Vec<[f32; 4]> = table.texels().collect();
         texels.resize(ROWS * WIDTH, [0.0; 4]);
-        let texture = texture(&self.gpu, WIDTH as u32, &texels);
+        let texture = float_texture(&self.gpu, "table", WIDTH as u32, &texels);
         self.table = TableTexture { view: view(&texture), texture, held: Some((hash, table.uniform())) };
         self.rebind(is_first);
         Ok(())

@@ -4,7 +4,8 @@ use glam::Vec3;
 
 use crate::capture::observation_map::{Observation, ObservedTexel, State};
 use crate::directions::Scheme;
-use crate::fitting::{Lobe, Model, Noise};
+use crate::fitting::{Lobe, Model, Noise, Outliers, Precision};
+use crate::representations::parameter_map::models::{HowToFit, Rungs, fit_texels};
 use crate::representations::parameter_map::{AllowedModels, fitted_models};
 
 /// A lobe of nearly twice white over a ground that is white in red, as the thesis' plane is: red says nothing, nowhere.
@@ -28,6 +29,24 @@ fn fitted(white: f32) -> Model {
     let noise = Noise { floor: 0.002, relative: 0.0 };
     let models = fitted_models(&[(&texel, seen.collect())], AllowedModels::Harmonics(64), noise).unwrap();
     models.into_iter().next().flatten().expect("a model")
+}
+
+#[test]
+fn a_bound_on_bytes_knows_what_a_smaller_model_loses_of_a_highlight_that_is_cut() {
+    let texel = ObservedTexel { index: 0, position: Vec3::ZERO, normal: Vec3::Z, tangent: Vec3::X };
+    let seen = directions("icosahedron:305").into_iter().map(|direction| {
+        let radiance = truth().eval(direction);
+        let clipped = (0..3).map(|c| u8::from(radiance[c] >= 0.6) << c).sum();
+        (direction, Observation { radiance: radiance.map(|v| v.min(0.6)), state: State::Seen { clipped } })
+    });
+    let (models, noise) = (AllowedModels::Phong(1), Noise { floor: 0.002, relative: 0.0 });
+    let (outliers, precision) = (Outliers::Keep, Precision::Single);
+    let how = HowToFit { models, noise, outliers, precision, rungs: Rungs::AndSmaller };
+    let fitted = fit_texels(&[(&texel, seen.collect())], &how).unwrap();
+    let (smallest, chosen) = (&fitted[0].rungs[0], fitted[0].rungs.last().unwrap());
+    // Red is white everywhere, so that every observation is cut in a channel and none is whole.
+    assert_eq!((fitted[0].samples, smallest.sum_of_squares, chosen.sum_of_squares), (0, 0.0, 0.0));
+    assert!(chosen.of_clipped < 0.01 * smallest.of_clipped, "{} left by a lobe, {} without", chosen.of_clipped, smallest.of_clipped);
 }
 
 /// Root mean square of what two models differ by as pictures cut at `white`, and where the truth is above it, the least of the fit.

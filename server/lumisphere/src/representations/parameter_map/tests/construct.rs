@@ -18,7 +18,7 @@ use crate::representations::parameter_map::{
 use crate::scenes::Environment;
 use crate::textures::{Codec, DatasetVersion, Page, PageId, PixelFormat, Publication, Staging, Store, StoreError, StoreOptions};
 
-const SIZE: usize = 40;
+pub(super) const SIZE: usize = 40;
 
 /// A dull left and a glossy right part, with a few texels of neither kind in a corner; what lies below the horizon is missing.
 fn truth(part: u32, index: u32) -> Model {
@@ -37,9 +37,23 @@ fn truth(part: u32, index: u32) -> Model {
 }
 
 fn observations() -> (ObservationMap, Vec<Arc<Page>>) {
+    observed_from(&"icosahedron:73".parse::<Scheme>().unwrap().directions())
+}
+
+/// The scheme's zenith is +Z, the sheet's +Y.
+pub(super) fn observed_from(directions: &[Vec3]) -> (ObservationMap, Vec<Arc<Page>>) {
+    let radiance = |texel: &ObservedTexel, _: usize, direction: Vec3| {
+        truth(texel.index / (SIZE * SIZE) as u32, texel.index).eval(direction.to_array())
+    };
+    observed_as(directions, &radiance)
+}
+
+/// The same of a sheet that shows `radiance(texel, observation, direction)`; the direction is in the texel's frame.
+pub(super) fn observed_as(
+    directions: &[Vec3],
+    radiance: &dyn Fn(&ObservedTexel, usize, Vec3) -> [f32; 3],
+) -> (ObservationMap, Vec<Arc<Page>>) {
     let surface = WORLD.surface();
-    let directions = "icosahedron:73".parse::<Scheme>().unwrap().directions();
-    // The scheme's zenith is +Z, the sheet's +Y.
     let observers: Vec<Observer> = directions.iter().map(|d| Observer::At(50.0 * Vec3::new(d.x, d.z, -d.y))).collect();
     let texels: Vec<ObservedTexel> = (0..2)
         .flat_map(|part| {
@@ -65,11 +79,10 @@ fn observations() -> (ObservationMap, Vec<Arc<Page>>) {
     let pages = (0..map.page_count()).map(|page| {
         let mut entries = vec![[0f32; 4]; 64 * map.observers.len()];
         for (column, texel) in map.texels_of_page(page).iter().enumerate() {
-            let model = truth(texel.index / (SIZE * SIZE) as u32, texel.index);
             for (row, observer) in map.observers.iter().enumerate() {
                 let direction = texel.direction_to(observer);
                 if direction.z > 0.02 {
-                    let seen = Observation { radiance: model.eval(direction.to_array()), state: State::Seen { clipped: 0 } };
+                    let seen = Observation { radiance: radiance(texel, row, direction), state: State::Seen { clipped: 0 } };
                     entries[64 * row + column] = seen.to_texel();
                 }
             }
@@ -80,7 +93,7 @@ fn observations() -> (ObservationMap, Vec<Arc<Page>>) {
     (map, pages)
 }
 
-fn settings() -> ConstructSettings {
+pub(super) fn settings() -> ConstructSettings {
     ConstructSettings {
         models: "auto".parse().unwrap(),
         noise_floor: None,
@@ -93,11 +106,11 @@ fn settings() -> ConstructSettings {
     }
 }
 
-fn source<'a>(map: &'a ObservationMap, read: &'a ReadObservations<'a>) -> FitSource<'a> {
+pub(super) fn source<'a>(map: &'a ObservationMap, read: &'a ReadObservations<'a>) -> FitSource<'a> {
     FitSource { map, read, name: "sheet", beside_bytes: 0 }
 }
 
-fn publication() -> Publication {
+pub(super) fn publication() -> Publication {
     let (kind, code_version) = ("parameter_map".into(), "test".into());
     Publication { kind, parameters: serde_json::Value::Null, inputs: Default::default(), code_version, created_unix_millis: 0 }
 }
@@ -365,11 +378,58 @@ fn a_bounded_fit_that_is_stopped_anywhere_gives_the_same_bytes() {
     let (store, _) = Store::open(folder.path(), StoreOptions::local()).unwrap();
     let all = bounded(&store, "free", None, &[]).unwrap().0.manifest().stored_bytes();
     let whole = everything_of(&bounded(&store, "whole", Some(all * 9 / 10), &[]).unwrap().0);
-    // Questions: one a batch, two of them, then one for each size that is tried.
-    for (i, stops) in [vec![1], vec![4], vec![0, 1, 6, PACKED]].iter().enumerate() {
+    // Questions: one a batch, two of them, one for each of 32 pages that are compared, then one for each size that is tried.
+    for (i, stops) in [vec![1], vec![20], vec![36], vec![0, 1, 38, PACKED]].iter().enumerate() {
         let resumed = everything_of(&bounded(&store, &format!("resumed-{i}"), Some(all * 9 / 10), stops).unwrap().0);
         assert!(resumed == whole, "{stops:?}");
     }
+}
+
+/// Throws away what is kept of the first batch when the models are about to be packed.
+struct Loses<'a>(&'a std::path::Path);
+
+impl Progress for Loses<'_> {
+    fn report(&self, what: &str, _done: u64, _total: u64) {
+        let kept = |folder: &std::path::Path| -> Vec<std::path::PathBuf> {
+            std::fs::read_dir(folder).into_iter().flatten().map(|entry| entry.unwrap().path()).collect()
+        };
+        let mut folders = if what == "packing" { vec![self.0.to_path_buf()] } else { Vec::new() };
+        while let Some(folder) = folders.pop() {
+            for path in kept(&folder) {
+                if path.is_dir() {
+                    folders.push(path);
+                } else if path.to_string_lossy().contains("models-000000") {
+                    std::fs::remove_file(path).unwrap();
+                }
+            }
+        }
+    }
+    fn is_cancelled(&self) -> bool {
+        false
+    }
+}
+
+impl FollowFit for Loses<'_> {
+    fn fitted(&self, _so_far: &FitSummary) {}
+    fn offer(&self, _partial: &PartialMap<'_>) -> Result<(), FitError> {
+        Ok(())
+    }
+}
+
+#[test]
+fn models_that_are_lost_before_they_are_packed_are_named_and_fitted_again() {
+    let (map, pages) = observations();
+    let read = |page: PageId| Ok::<_, StoreError>(pages[page.0 as usize].clone());
+    let folder = tempfile::tempdir().unwrap();
+    let (store, _) = Store::open(folder.path(), StoreOptions::local()).unwrap();
+    store.create_dataset("map").unwrap();
+    let staging = store.stage("map", "token").unwrap();
+    let lost = construct(&source(&map, &read), &settings(), &staging, &Loses(folder.path())).unwrap_err();
+    assert!(matches!(lost, FitError::Lost { batch: 0 }), "{lost}");
+    assert_eq!(lost.to_string(), "the kept models of batch 0 are gone or damaged; fitting again makes them anew");
+    let (_, summary) = construct(&source(&map, &read), &settings(), &staging, &Unattended).unwrap();
+    // The first batch again, the second from where it is kept.
+    assert_eq!((summary.texels, summary.texels_of_this_run), (2 * (SIZE * SIZE) as u64, 32 * 64));
 }
 
 #[test]

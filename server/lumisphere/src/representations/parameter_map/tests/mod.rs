@@ -5,6 +5,8 @@ mod construct;
 pub(crate) mod fixture;
 #[cfg(feature = "gpu")]
 mod gpu_equals_cpu;
+mod registration;
+mod suggest;
 
 use std::collections::HashMap;
 use std::sync::Arc;
