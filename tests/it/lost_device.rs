@@ -91,7 +91,7 @@ async fn viewers_see_on_while_the_graphics_device_is_lost_and_after_another_was_
         // What stands on the new device is what stood on the old one.
         pose_id += 1;
         for (viewer, before) in viewers.iter_mut().zip(&before) {
-            let frame = shown(viewer, pose_id, before.camera.clone().unwrap()).await;
+            let frame = shown(viewer, pose_id, before.camera.unwrap()).await;
             assert_eq!(frame.backend(), wire::Backend::Gpu, "round {round}");
             let (now, then) = (raw_pixels(&frame.color), raw_pixels(&before.color));
             // Pages lie elsewhere in its memory, where coordinates are rounded otherwise.

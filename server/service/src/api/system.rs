@@ -11,23 +11,34 @@ use crate::wire::proto::{self, system_server::System};
 use crate::wire::{API, MAX_CHUNK_BYTES, MAX_FRAME_MESSAGE_BYTES, MAX_LINK_PAYLOAD_BYTES, MAX_REQUEST_BYTES};
 
 /// Sorted.
-const FEATURES: [&str; 18] = [
+const FEATURES: [&str; 29] = [
+    "brdf_tables",
+    "depth_format",
     "encoding.exr",
     "encoding.jpeg",
     "encoding.png",
     "encoding.raw_zstd",
+    "encoding_at_rest",
     "exposure_gamma",
+    "ground_truth",
     "grpc-web",
     "health",
     "interact",
     "job.capture",
     "job.evaluate",
+    "job.fit",
+    "job.import",
+    "job.observe",
     "job.path_render",
+    "job.suggest",
     "job.thin",
     "measure_link",
     "moving_frames_per_second",
     "reflection",
+    "refraction",
+    "relighting",
     "representation.offset_surface_light_field",
+    "representation.parameter_map",
     "sessions",
     "upload.resumable",
 ];
