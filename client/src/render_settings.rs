@@ -2,7 +2,9 @@
 
 use std::path::PathBuf;
 
+use anyhow::Context as _;
 use clap::{Args, ValueEnum};
+use lumisphere::formats::merl;
 use lumisphere_proto::v1alpha1 as wire;
 use serde::{Deserialize, Serialize};
 use wire::offset_surface_light_field_settings::{
@@ -14,6 +16,7 @@ use wire::render_settings::Representation;
 
 use crate::cameras::parse_vec3;
 use crate::context::Context;
+use crate::exit::Failure;
 use crate::progress::Meter;
 use crate::upload::{Blob, upload};
 
@@ -269,15 +272,25 @@ impl SettingsFlags {
 /// The same settings after the file of their measured BRDF was uploaded: they name it by its hash from then on.
 pub async fn with_table(mut settings: wire::RenderSettings, context: &Context) -> anyhow::Result<wire::RenderSettings> {
     let Some(Representation::OffsetSurfaceLightField(of_field)) = &mut settings.representation else { return Ok(settings) };
-    let Some(gloss) = &mut of_field.gloss else { return Ok(settings) };
-    let Some(file) = table_file(&gloss.brdf) else { return Ok(settings) };
+    if let Some(gloss) = &mut of_field.gloss {
+        gloss.brdf = named_table(&gloss.brdf, context).await?;
+    }
+    Ok(settings)
+}
+
+/// The same of a BRDF's JSON.
+pub async fn named_table(json: &str, context: &Context) -> anyhow::Result<String> {
+    let Some(file) = table_file(json) else { return Ok(json.into()) };
+    let bytes = std::fs::metadata(&file).with_context(|| format!("cannot read {}", file.display()))?.len();
+    if bytes != merl::FILE_BYTES {
+        return Err(Failure::Usage(format!("{} has {bytes} bytes, {} expected of a MERL table", file.display(), merl::FILE_BYTES)).into());
+    }
     let blob = Blob::from_file(&file)?;
     let mut client = context.connect().await?.datasets();
     let mut meter = Meter::new(context.output);
     upload(context, &mut client, &blob, &mut meter, "uploading the table").await?;
     meter.finish();
-    gloss.brdf = serde_json::json!({"model": "measured", "table": blob.blake3}).to_string();
-    Ok(settings)
+    Ok(serde_json::json!({"model": "measured", "table": blob.blake3}).to_string())
 }
 
 /// Of `{"model": "measured", "file": FILE}`; everything else is the server's to judge.

@@ -61,6 +61,18 @@ pub struct Setting {
     pub backend: String,
 }
 
+impl Setting {
+    /// Its BRDF in other words.
+    pub fn name_brdf(&mut self, json: &str) {
+        self.asked.brdf = Some(json.into());
+        if let Some(wire::render_settings::Representation::OffsetSurfaceLightField(field)) = &mut self.wire.representation
+            && let Some(gloss) = &mut field.gloss
+        {
+            gloss.brdf = json.into();
+        }
+    }
+}
+
 /// What a setting shows beside the terms of the sum; in a sweep's rows.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -323,7 +335,8 @@ impl LookAxes {
         let turns = s.axis("environment_turns_deg", &Expected { text: "-360 to 360", read: &turn })?.unwrap_or(vec![None]);
         let index = |v: &Value| number(v).filter(|x| (1.0..=4.0).contains(x)).map(Some);
         let indices = s.axis("refraction_indices", &Expected { text: "1 to 4", read: &index })?;
-        let brdf = s.value("brdf", &Expected { text: "a BRDF's JSON, as --brdf,", read: &text })?.map(|json| with_table_in(&json, folder));
+        let brdf = s.value("brdf", &Expected { text: "a BRDF's JSON, as --brdf,", read: &text })?;
+        let brdf = brdf.map(|json| with_table_in(&json, folder)).transpose()?;
         let directions = s.axis("directions", &count("1 to 4096", &|v| integer(v, 1, 4096)))?;
         let orders = s.axis("integration_orders", &one_of::<Order>(&choices::<Order>()))?;
         let is_glossy = components.contains(&Component::Glossy);
@@ -358,11 +371,11 @@ impl LookAxes {
 }
 
 /// A table's file is relative to the sweep's folder.
-fn with_table_in(json: &str, folder: &Path) -> String {
-    match table_file(json) {
-        Some(file) => serde_json::json!({"model": "measured", "file": folder.join(file)}).to_string(),
-        None => json.to_string(),
-    }
+fn with_table_in(json: &str, folder: &Path) -> anyhow::Result<String> {
+    let Some(file) = table_file(json) else { return Ok(json.into()) };
+    let path = folder.join(file);
+    let text = path.to_str().with_context(|| format!("{}: a name in UTF-8 expected", path.display()))?;
+    Ok(serde_json::json!({"model": "measured", "file": text}).to_string())
 }
 
 fn setting_axes(mut s: Section, folder: &Path) -> anyhow::Result<(Vec<Setting>, [f32; 3])> {

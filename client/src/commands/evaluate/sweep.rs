@@ -1,5 +1,6 @@
 //! `lumisphere evaluate sweep`: captures what is missing, evaluates every dataset with every setting, and writes table, chart and report.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
@@ -20,8 +21,8 @@ use crate::exit::Failure;
 use crate::files::{Existing, prepare_folder, safe_name, write_atomically};
 use crate::output::table;
 use crate::progress::Meter;
-use crate::render_settings::with_table;
-use crate::sweep_file::SweepFile;
+use crate::render_settings::named_table;
+use crate::sweep_file::{Setting, SweepFile};
 
 const FILES: [&str; 5] = ["sweep.json", "sweep.csv", "chart.svg", "chart.png", "report.html"];
 /// The pictures of a report are those of the first view.
@@ -49,7 +50,7 @@ pub struct Arguments {
 
 /// Runs the whole sweep.
 pub async fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<()> {
-    let file = SweepFile::read(&arguments.file)?;
+    let mut file = SweepFile::read(&arguments.file)?;
     let existing = Existing::from_force(arguments.force);
     if let Some(out) = &arguments.out {
         prepare_folder(out, FILES.map(String::from), existing)?;
@@ -57,6 +58,7 @@ pub async fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<()>
     let server = context.connect().await?;
     let info = server.system().get_server_info(context.request(wire::GetServerInfoRequest {})).await?.into_inner();
     check_limits(&file.views, &info.limits.unwrap_or_default())?;
+    name_tables(&mut file.settings, context).await?;
     let datasets = datasets(context, &server, &file).await?;
     let (mut rows, mut about) = (Vec::new(), Value::Null);
     for (done, dataset) in datasets.iter().enumerate() {
@@ -78,6 +80,19 @@ pub async fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<()>
     let files = arguments.out.as_ref().map(|_| FILES);
     let document = json!({"sweep": sweep, "out": arguments.out, "files": files});
     context.output.document(&document, || text(&sweep, arguments))?;
+    Ok(())
+}
+
+/// Uploads each table once, before anything is captured. Settings, and so rows, name it by its hash: its file may be another one later.
+async fn name_tables(settings: &mut [Setting], context: &Context) -> anyhow::Result<()> {
+    let mut named = BTreeMap::new();
+    for setting in settings {
+        let Some(asked) = setting.asked.brdf.clone() else { continue };
+        if !named.contains_key(&asked) {
+            named.insert(asked.clone(), named_table(&asked, context).await?);
+        }
+        setting.name_brdf(&named[&asked]);
+    }
     Ok(())
 }
 
@@ -115,16 +130,12 @@ async fn evaluated(
         Views::Orbit(orbit) => wire::evaluate_spec::Views::Orbit(orbit),
         Views::Cameras(cameras) => wire::evaluate_spec::Views::Cameras(camera_list(cameras)),
     };
-    let mut settings = Vec::with_capacity(file.settings.len());
-    for setting in &file.settings {
-        settings.push(with_table(setting.wire.clone(), context).await?);
-    }
     let spec = Spec::Evaluate(wire::EvaluateSpec {
         dataset: dataset.name.clone(),
         version: dataset.version,
         views: Some(views),
         truth_samples_per_pixel: file.truth_samples_per_pixel,
-        settings,
+        settings: file.settings.iter().map(|setting| setting.wire.clone()).collect(),
         truths: file.truths.iter().map(|t| t.to_wire().into()).collect(),
         seed: file.truth_seed,
         max_bounces: file.truth_max_bounces,

@@ -207,7 +207,7 @@ pub fn evaluate<E: std::error::Error>(
 }
 
 /// A view's truths are held together: one picture a BRDF or clear body and light.
-const MOST_LOOKS: usize = 8;
+pub const MOST_LOOKS: usize = 8;
 /// And up to three of each light.
 const MOST_LIGHTS: usize = 4;
 

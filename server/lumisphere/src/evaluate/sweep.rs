@@ -115,7 +115,7 @@ pub enum SweepError {
     Empty,
 }
 
-/// Rows that compare with each other: the same object, shown the same, against the same truth.
+/// Rows that compare with each other: the same object, shown the same in the same light, against the same truth.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Group {
     /// The scene's name or file.
@@ -126,14 +126,20 @@ pub struct Group {
     pub component: String,
     /// What it is compared with.
     pub truth: String,
+    /// Other light than it was captured in ("turned-90").
+    pub light: Option<String>,
+    /// The clear body that it is ("solid-1.5").
+    pub body: Option<String>,
     /// Indices into the sweep's rows.
     pub rows: Vec<usize>,
 }
 
 impl Group {
-    /// "mirror of teapot in gazebo, against one_reflection".
+    /// "mirror of teapot in gazebo, against one_reflection"; "mirror, turned-90, of teapot in gazebo, against one_reflection".
     pub fn name(&self) -> String {
-        format!("{} of {} in {}, against {}", self.component, self.object, self.scene, self.truth)
+        let told = [&self.light, &self.body].into_iter().flatten().map(|text| format!(" {text},")).collect::<String>();
+        let comma = if told.is_empty() { "" } else { "," };
+        format!("{}{comma}{told} of {} in {}, against {}", self.component, self.object, self.scene, self.truth)
     }
 }
 
@@ -163,8 +169,10 @@ impl Sweep {
     pub fn groups(&self) -> Vec<Group> {
         let mut groups: Vec<Group> = Vec::new();
         for (i, row) in self.rows.iter().enumerate() {
-            let is_of =
-                |g: &&mut Group| g.scene == row.scene && g.object == row.object && g.component == row.component && g.truth == row.truth;
+            let told = |key| row.more.get(key).and_then(Value::as_str).map(String::from);
+            let (light, body) = (told("light"), told("body"));
+            let is_shown_so = |g: &Group| g.component == row.component && g.light == light && g.body == body;
+            let is_of = |g: &&mut Group| g.scene == row.scene && g.object == row.object && g.truth == row.truth && is_shown_so(g);
             match groups.iter_mut().find(is_of) {
                 Some(group) => group.rows.push(i),
                 None => groups.push(Group {
@@ -172,6 +180,8 @@ impl Sweep {
                     object: row.object.clone(),
                     component: row.component.clone(),
                     truth: row.truth.clone(),
+                    light,
+                    body,
                     rows: vec![i],
                 }),
             }

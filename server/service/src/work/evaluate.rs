@@ -1,5 +1,6 @@
 //! Dataset version to a table of errors against path-traced truth.
 
+use std::collections::BTreeSet;
 use std::time::Instant;
 
 use lumisphere::evaluate::{self, Picture, Plan, Rendered as RenderedView};
@@ -25,8 +26,12 @@ impl Work {
         let (_, scene) = self.captured_scene(&version)?;
         let manifest = version.pages.version.manifest();
         let captured = version.representation.captured();
-        let tables = spec.settings.iter().filter_map(|s| s.settings.brdf()?.table());
-        let tables = tables.map(|hash| Ok((hash, version.tables.get(hash)?)));
+        let tables: BTreeSet<_> = spec.settings.iter().filter_map(|s| s.settings.brdf()?.table()).collect();
+        if tables.len() > evaluate::MOST_LOOKS {
+            let problem = format!("{} measured BRDFs, at most {} expected", tables.len(), evaluate::MOST_LOOKS);
+            return Err(ApiError::field("spec.evaluate.settings", problem));
+        }
+        let tables = tables.into_iter().map(|hash| Ok((hash, version.tables.get(hash)?)));
         let plan = Plan {
             object: captured.object.into(),
             cameras: cameras(&spec.views, &version)?,

@@ -127,7 +127,8 @@ impl AtlasShape {
     // As many slots as there are pages, or as fit beside the upload ring and the indirection; None where no page does.
     pub(super) fn layout(self, gpu: &Gpu, budget_bytes: u64) -> Option<Layout> {
         let budget_bytes = budget_bytes.checked_sub(self.bytes_beside()).filter(|_| budget_bytes >= self.least_bytes())?;
-        let slots_per_edge = self.slots_per_edge(gpu, budget_bytes);
+        // No page of them fits a texture.
+        let slots_per_edge = Some(self.slots_per_edge(gpu, budget_bytes)).filter(|slots| *slots > 0)?;
         let in_a_layer = (slots_per_edge as usize).pow(2);
         let layer_bytes = self.bytes_of_levels(slots_per_edge * self.page_size);
         let wanted = (self.page_count + self.pinned_slots).div_ceil(in_a_layer.max(1)) as u64;

@@ -97,8 +97,8 @@ pub(crate) struct PointLightUniform {
 const BLOCK_ROWS: u32 = 16;
 const MOST_BLOCKS: u32 = 32;
 
-// All faces of four sample points' cube maps.
-const PAGES_OF_A_PIXEL: usize = 4 * FACES;
+// All faces of the cube maps of eight sample points: four where light enters a clear body, four where it leaves.
+const PAGES_OF_A_PIXEL: usize = 8 * FACES;
 
 /// One dataset on the device.
 pub(crate) struct Kernel {
@@ -234,6 +234,14 @@ impl Kernel {
         self.budget_bytes
     }
 
+    // What some frames need and others do not.
+    fn forget_tables(&mut self) {
+        self.light_tables = LightTables::default();
+        self.light_textures = LightTextures::none(&self.gpu);
+        self.tree = TreeTexture::none(&self.gpu);
+        self.table = TableTexture::none(&self.gpu);
+    }
+
     fn forget_pages(&mut self) {
         self.earlier = self.stats().after_all_left();
         self.atlas = None;
@@ -270,8 +278,10 @@ impl Kernel {
         if budget_bytes > beside && is_room(left) {
             return Ok(());
         }
-        // Page by page: layers are filled by whole rows of them.
-        let needed = (1..).map(|pages| left + pages * page_bytes).find(|bytes| is_room(*bytes)).unwrap_or(u64::MAX);
+        // Page by page: layers are filled by whole rows of them. Where pages are so large that no budget is enough there is no such number.
+        let most = 4 * (PAGES_OF_A_PIXEL + self.plan(pixel, left).1.pinned_slots) as u64;
+        let with = |pages: u64| page_bytes.checked_mul(pages).and_then(|bytes| left.checked_add(bytes));
+        let needed = (1..=most).map_while(with).find(|bytes| is_room(*bytes)).unwrap_or(u64::MAX);
         Err(GpuError::OverBudget { what, needed_bytes: beside.saturating_add(needed), budget_bytes }.into())
     }
 
@@ -398,6 +408,8 @@ impl GpuKernel for Kernel {
         let keeps = self.atlas.as_ref().is_some_and(|a| a.atlas.capacity() >= a.shape.page_count && fits(a));
         self.budget_bytes = budget_bytes;
         if !keeps {
+            // Frames make them anew if they leave room for pages still.
+            self.forget_tables();
             self.forget_pages();
         }
     }

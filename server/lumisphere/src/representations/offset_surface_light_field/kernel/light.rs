@@ -98,11 +98,22 @@ impl Kernel {
         if needed > before {
             self.check_room("tables of other light", needed - before, pages)?;
         }
-        let Some(lit) = self.light_tables.lit(&self.field, settings, pages)? else { return Ok(()) };
+        let made = self.make_light(settings, pages);
+        // Some of it may be there even if the rest could not be made.
+        let has_grown = self.light_textures.bytes() + self.light_tables.bytes() > before;
+        if has_grown || !matches!(made, Ok(false)) {
+            self.rebind(has_grown);
+        }
+        made.map(drop)
+    }
+
+    // Whether there was something to make.
+    fn make_light(&mut self, settings: &Settings, pages: &CountingSource<'_>) -> Result<bool, RenderError> {
+        let Some(lit) = self.light_tables.lit(&self.field, settings, pages)? else { return Ok(false) };
         let turn = settings.light.environment_turn().to_bits();
         let needs_irradiance = !lit.irradiance.is_empty() && self.light_textures.shown != Some(turn);
         if self.light_textures.has_environment && !needs_irradiance {
-            return Ok(());
+            return Ok(false);
         }
         if !self.light_textures.has_environment {
             self.light_textures.set_environment(&self.gpu, &lit.environment)?;
@@ -110,8 +121,7 @@ impl Kernel {
         if needs_irradiance {
             self.light_textures.set_irradiances(&self.gpu, &lit.irradiance, turn);
         }
-        self.rebind(self.light_textures.bytes() + self.light_tables.bytes() > before);
-        Ok(())
+        Ok(true)
     }
 
     /// After views were made anew: pages stay, unless what was made leaves them no room.

@@ -447,7 +447,7 @@ fn tables_of_other_light_and_of_clear_bodies_leave_room_for_pages_or_are_not_mad
         Settings { component: glass, ..mirror(Blend::Average) },
     ];
     let (mut made, mut refused) = (0, 0);
-    for (settings, slots) in asking.into_iter().flat_map(|s| [26, 34, 44, 60, 90, 200].map(move |slots| (s, slots))) {
+    for (settings, slots) in asking.into_iter().flat_map(|s| [26, 34, 44, 60, 90, 200, 400].map(move |slots| (s, slots))) {
         let mut kernel = Kernel::new(test_gpu().unwrap(), scene.field.clone(), BUDGET).unwrap();
         std::mem::swap(&mut kernel, &mut scene.kernel);
         scene.kernel.set_slots(slots);
@@ -466,6 +466,9 @@ fn tables_of_other_light_and_of_clear_bodies_leave_room_for_pages_or_are_not_mad
         // In the light that is stored there is room as before.
         scene.blend = Blend::Average;
         scene.draw(camera, Refine::Whole).unwrap_or_else(|error| panic!("{slots} slots: {error}"));
+        // And where the budget becomes smaller afterwards.
+        scene.kernel.set_slots(26);
+        scene.draw(camera, Refine::Whole).unwrap_or_else(|error| panic!("{slots} slots, then 26: {error}"));
     }
     assert!(made >= 3 && refused >= 3, "{made} made, {refused} refused");
 }
