@@ -270,13 +270,15 @@ fn scene_linear_exposures_become_one_photograph() {
         (0..200).for_each(|at| picture.set_rgb(at, [if at % 20 < 10 { 0.2 } else { 4.0 }; 3].map(|v: f32| (scale * v).min(1.0))));
         encode_exr_rgb(&picture, ExrStorage::Float).unwrap()
     };
-    for (file, scale) in [("a.exr", 1.0), ("b.exr", 0.125), ("c.exr", 1.0), ("d.exr", 0.125)] {
+    for (file, scale) in [("a.exr", 1.0), ("b.exr", 0.125), ("c.exr", 1.0), ("d.exr", 0.125), ("e.exr", 0.125)] {
         std::fs::write(folder.path().join(file), exposure(scale)).unwrap();
     }
     let list = folder.path().join("list.json");
     let write = |exposures: &str| {
         let one = |files: &str, x: f32| format!(r#"{{"files": [{files}], {exposures} "camera": [{x}, 0, 5]}}"#);
-        let photographs = [one(r#""a.exr", "b.exr""#, 0.0), one(r#""c.exr", "d.exr""#, 1.0)].join(", ");
+        // The last is an eighth alone: its exposure counts, too.
+        let alone = r#"{"files": ["e.exr"], "exposures": [0.125], "camera": [-1, 0, 5]}"#.to_string();
+        let photographs = [one(r#""a.exr", "b.exr""#, 0.0), one(r#""c.exr", "d.exr""#, 1.0), alone].join(", ");
         let head = r#""format": "lumisphere-photographs/1", "width": 2, "height": 1, "saturation": 1"#;
         std::fs::write(&list, format!(r#"{{{head}, "photographs": [{photographs}]}}"#)).unwrap();
     };

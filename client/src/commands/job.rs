@@ -79,7 +79,7 @@ pub enum Submit {
     Import(ImportArguments),
     /// Fit a model to every texel of an observation map, the smallest that explains it; publish them as a parameter map
     Fit(FitArguments),
-    /// Say from which directions a surface should be photographed next, from what a parameter map does not know of it
+    /// Say from which directions a surface should be photographed next, from what a parameter map does not know of it; toward the lamp where that moved (.lp)
     Suggest(SuggestArguments),
     /// Leave out of a dataset what an error bound can do without, and publish the rest as a dataset of its own
     Thin(Box<ThinArguments>),
@@ -352,7 +352,7 @@ pub struct FitArguments {
     /// What the version may take at most, such as 20MB: models are smaller where that costs least
     #[arg(long, value_name = "BYTES", value_parser = parse_bytes)]
     max_bytes: Option<u64>,
-    /// Publish what is fitted so far as dataset NAME-partial after so many seconds each; it goes when the job has ended
+    /// Publish what is fitted so far as dataset NAME-partial after so many seconds each, later where publishing is slow; it goes when the job has ended
     #[arg(long, value_name = "SECONDS", default_value_t = 0.0, hide_default_value = true)]
     publish_every: f32,
     /// Of stored numbers

@@ -19,7 +19,7 @@ pub use cube_maps::{CaptureError, Viewpoint, trace_cube_maps};
 pub use levels::{coarser_levels, halved, halved_distances, inverse_distance, sky_share, stacked, with_sky_shares};
 pub use merge::{MergeError, Merged, Validity, merge, merge_linear};
 pub use parts::PartsError;
-pub use photograph::{CODES, ExposureStack, StackError};
+pub use photograph::{CODES, ExposureStack, StackError, check_exposures};
 pub use read_stack::{Exposures, ReadStackError, read_stack};
 pub use response_curve::{ResponseCurve, ResponseError};
 pub use surface::{SurfaceMesh, SurfaceTexel, surface_texels};

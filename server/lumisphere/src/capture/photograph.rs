@@ -72,7 +72,8 @@ impl ExposureStack {
     }
 }
 
-pub(super) fn check_exposures(photographs: usize, exposures: &[f64]) -> Result<(), StackError> {
+/// Whether there are 1 to 255 photographs, and an exposure above 0 for each.
+pub fn check_exposures(photographs: usize, exposures: &[f64]) -> Result<(), StackError> {
     if !(1..=255).contains(&photographs) {
         return Err(StackError::Number(photographs));
     }

@@ -23,6 +23,7 @@ mod robust;
 mod sample;
 mod selection;
 mod settings;
+mod spread;
 pub mod suggest;
 mod tile;
 
@@ -35,6 +36,7 @@ pub use model::{LEAST_COSINE, Lobe, Model};
 pub use settings::{
     Choice, Fit, Flags, LobePrior, MAX_LOBES, Noise, Outcome, Outliers, Precision, Rung, Settings, SettingsError, Starts, Termination,
 };
+pub(crate) use spread::spread;
 
 use self::ladder::Climb;
 use self::lobes::scan::Scratch;

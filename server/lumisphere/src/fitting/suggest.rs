@@ -14,7 +14,7 @@
 use glam::{DVec3, Mat3, Vec3};
 
 use super::cholesky::Cholesky;
-use super::{LEAST_COSINE, Lobe, Model};
+use super::{LEAST_COSINE, Lobe, Model, spread};
 
 /// A texel as it is known.
 #[derive(Debug, Clone)]
@@ -57,7 +57,8 @@ const MOST_PROCESSES: usize = 8;
 pub fn suggest(texels: &[KnownTexel<'_>], candidates: &[[f32; 3]], count: usize) -> Vec<Suggestion> {
     let mut known: Vec<Parameters> = texels.iter().filter_map(|texel| Parameters::new(texel, candidates)).collect();
     let mut unseen = unseen(texels, candidates);
-    let mut free: Vec<usize> = (0..candidates.len()).filter(|at| unseen.iter().any(|process| process.sees[*at])).collect();
+    let is_seen = |at: &usize| texels.is_empty() || texels.iter().any(|texel| local(texel, &candidates[*at]).is_some());
+    let mut free: Vec<usize> = (0..candidates.len()).filter(is_seen).collect();
     let mut suggestions = Vec::new();
     while suggestions.len() < count {
         let gain = |&at: &usize| {
@@ -192,10 +193,8 @@ fn unseen(texels: &[KnownTexel<'_>], candidates: &[[f32; 3]]) -> Vec<Unseen> {
     if texels.is_empty() {
         return vec![Unseen::new(&[], candidates.iter().map(|d| Some(*d)).collect(), scale)];
     }
-    let count = texels.len().min(MOST_PROCESSES);
     let of = |texel: &KnownTexel<'_>| Unseen::new(texel.directions, candidates.iter().map(|d| local(texel, d)).collect(), scale);
-    // From the middle of each stretch.
-    (0..count).map(|i| of(&texels[(2 * i + 1) * texels.len() / (2 * count)])).collect()
+    spread(texels.len().min(MOST_PROCESSES), texels.len()).map(|at| of(&texels[at])).collect()
 }
 
 /// Lobes that nobody has seen at a texel: a Gaussian process with kernel exp(−m (1 − d·d′)), about a lobe of exponent m, of variance 1. Memory and

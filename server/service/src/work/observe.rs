@@ -7,9 +7,9 @@ use std::sync::OnceLock;
 use lumisphere::capture::observation_map::{
     ImportError, ImportSettings, OBSERVATION_MAP, ObservationParameters, Photographed, RadiancePhotograph, import, observe,
 };
-use lumisphere::capture::{Exposures, ResponseCurve, read_stack};
+use lumisphere::capture::{Exposures, ResponseCurve, check_exposures, read_stack};
 use lumisphere::formats::photograph_list::{self, ListedPhotograph, PhotographList, PhotographView};
-use lumisphere::images::{ReadLimits, decode_image};
+use lumisphere::images::{Image, ImageError, ReadLimits, decode_image};
 use lumisphere::textures::{ContentHash, Publication, Staging};
 
 use super::Work;
@@ -81,7 +81,12 @@ impl Work {
         let failed = |reason: String| ImportError::Photograph { file: photograph.files.join(", "), reason };
         if let [file] = &photograph.files[..] {
             let bytes = self.uploaded(source, file).map_err(failed)?;
-            return RadiancePhotograph::decode(&bytes, source.response, list.saturation).map_err(|e| failed(e.to_string()));
+            let alone = RadiancePhotograph::decode(&bytes, source.response, list.saturation).map_err(|e| failed(e.to_string()))?;
+            let exposure = photograph.exposures.as_ref().and_then(|exposures| exposures.first());
+            return Ok(match exposure {
+                Some(exposure) => alone.exposed_by_one(*exposure),
+                None => alone,
+            });
         }
         let first = self.uploaded(source, &photograph.files[0]).map_err(failed)?;
         if RadiancePhotograph::is_linear(&first).map_err(|e| failed(e.to_string()))? {
@@ -110,15 +115,8 @@ impl Work {
     ) -> Result<RadiancePhotograph, String> {
         let exposures = photograph.exposures.as_ref();
         let exposures = exposures.ok_or("scene-linear files do not say how they were exposed: a list with \"exposures\" expected")?;
-        let read = |file: &String| {
-            let bytes = self.uploaded(source, file)?;
-            match RadiancePhotograph::is_linear(&bytes) {
-                Ok(true) => decode_image(&bytes, ReadLimits::SCENE).map_err(|e| format!("{file}: {e}")),
-                Ok(false) => Err(format!("{file} holds 8-bit codes, radiance as in the first file expected")),
-                Err(e) => Err(format!("{file}: {e}")),
-            }
-        };
-        let photographs = photograph.files.iter().map(read).collect::<Result<Vec<_>, _>>()?;
+        let load = |file: &str| self.uploaded(source, file);
+        let photographs = linear_stack(&photograph.files, exposures, &load, ReadLimits::SCENE)?;
         RadiancePhotograph::merged_linear(&photographs, exposures, saturation).map_err(|e| e.to_string())
     }
 
@@ -158,6 +156,30 @@ impl Work {
     }
 }
 
+// Scene-linear exposures of one view, all of them together within `limits`.
+fn linear_stack(
+    files: &[String],
+    exposures: &[f64],
+    load: &dyn Fn(&str) -> Result<Vec<u8>, String>,
+    limits: ReadLimits,
+) -> Result<Vec<Image>, String> {
+    check_exposures(files.len(), exposures).map_err(|e| e.to_string())?;
+    let mut left = limits.max_samples;
+    let read = |file: &String| {
+        let bytes = load(file)?;
+        if !RadiancePhotograph::is_linear(&bytes).map_err(|e| format!("{file}: {e}"))? {
+            return Err(format!("{file} holds 8-bit codes, radiance as in the first file expected"));
+        }
+        let image = decode_image(&bytes, ReadLimits { max_samples: left, ..limits }).map_err(|e| match e {
+            ImageError::TooLarge { .. } => format!("{file}: {e}: {} for all exposures of a view together", limits.max_samples),
+            _ => format!("{file}: {e}"),
+        })?;
+        left = left.saturating_sub(image.planes.iter().map(Vec::len).sum());
+        Ok(image)
+    };
+    files.iter().map(read).collect()
+}
+
 fn publication(parameters: ObservationParameters, inputs: BTreeMap<String, ContentHash>) -> Result<Publication, ApiError> {
     Ok(Publication {
         kind: OBSERVATION_MAP.into(),
@@ -166,4 +188,38 @@ fn publication(parameters: ObservationParameters, inputs: BTreeMap<String, Conte
         code_version: env!("CARGO_PKG_VERSION").into(),
         created_unix_millis: now_millis(),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::cell::Cell;
+
+    use lumisphere::images::{ExrStorage, Rgb8, encode_exr_rgb, encode_png};
+
+    use super::*;
+
+    #[test]
+    fn scene_linear_exposures_are_checked_before_they_fill_memory() {
+        let exr = encode_exr_rgb(&Image::zeros(4, 2, 3), ExrStorage::Float).unwrap();
+        let png = encode_png(&Rgb8::filled(4, 2, [9; 3])).unwrap();
+        let loaded = Cell::new(0);
+        let load = |file: &str| {
+            loaded.set(loaded.get() + 1);
+            Ok(if file == "codes" { png.clone() } else { exr.clone() })
+        };
+        let stack = |files: &[&str], exposures: &[f64], max_samples: usize| {
+            loaded.set(0);
+            let files: Vec<String> = files.iter().map(|file| (*file).to_string()).collect();
+            linear_stack(&files, exposures, &load, ReadLimits { max_samples, ..ReadLimits::SCENE })
+        };
+        // 24 samples each.
+        assert_eq!(stack(&["a", "b", "c"], &[1.0, 0.5, 0.25], 72).unwrap().len(), 3);
+        let refused = stack(&["a", "b", "c"], &[1.0, 0.5, 0.25], 71).unwrap_err();
+        assert!(refused.contains("c: ") && refused.contains("limit 23 samples: 71 for all exposures"), "{refused}");
+        assert_eq!(stack(&["a", "codes"], &[1.0, 0.5], 72).unwrap_err(), "codes holds 8-bit codes, radiance as in the first file expected");
+        let many: Vec<&str> = vec!["a"; 256];
+        assert!(stack(&many, &[1.0; 256], 1 << 20).unwrap_err().contains("256 photographs") && loaded.get() == 0);
+        assert!(stack(&["a", "b"], &[1.0, 0.0], 72).unwrap_err().contains("exposure 1 is 0") && loaded.get() == 0);
+        assert!(stack(&["a", "b"], &[1.0], 72).is_err() && loaded.get() == 0);
+    }
 }

@@ -80,14 +80,21 @@ impl RadiancePhotograph {
         Ok(Self { radiance, states })
     }
 
+    /// As if it had been exposed by 1 instead of `exposure`, which is above 0: radiance as of merged photographs.
+    pub fn exposed_by_one(mut self, exposure: f64) -> Self {
+        self.radiance.planes.iter_mut().flatten().for_each(|value| *value = (f64::from(*value) / exposure) as f32);
+        self
+    }
+
     /// From several exposures of one view, by the camera's response. What no exposure shows is missing.
     pub fn merged(stack: &ExposureStack, curve: &ResponseCurve) -> Result<Self, MergeError> {
         Ok(Self::of(merge(stack, curve)?))
     }
 
-    /// From several scene-linear exposures of one view, clipped from `saturation` on. Radiance is that of exposure 1. What no exposure shows is missing.
+    /// From several scene-linear exposures of one view, clipped from `saturation` on. Radiance is that of exposure 1. What is clipped in
+    /// all is missing; what is black is not.
     pub fn merged_linear(photographs: &[Image], exposures: &[f64], saturation: Option<f32>) -> Result<Self, MergeError> {
-        Ok(Self::of(merge_linear(photographs, exposures, 0.0, saturation.unwrap_or(f32::INFINITY))?))
+        Ok(Self::of(merge_linear(photographs, exposures, f32::NEG_INFINITY, saturation.unwrap_or(f32::INFINITY))?))
     }
 
     fn of(merged: Merged) -> Self {

@@ -314,4 +314,21 @@ fn scene_linear_exposures_are_merged_and_clipped_where_they_are_full() {
     let alone = |saturation| RadiancePhotograph::decode(&file, Response::Srgb, saturation).unwrap().states;
     assert_eq!(alone(Some(1.0)), [State::Seen { clipped: 0 }, State::Seen { clipped: 7 }, State::Seen { clipped: 7 }]);
     assert_eq!(alone(None), [State::Seen { clipped: 0 }; 3]);
+    // One exposure that stands beside merged ones.
+    let dark = crate::images::encode_exr_rgb(&exposure(0.125), crate::images::ExrStorage::Float).unwrap();
+    let one = RadiancePhotograph::decode(&dark, Response::Srgb, Some(1.0)).unwrap().exposed_by_one(0.125);
+    assert!((one.radiance.rgb(1)[0] / 3.0 - 1.0).abs() < 1e-5 && one.states[2] == State::Seen { clipped: 7 }, "{one:?}");
+}
+
+#[test]
+fn what_is_black_in_all_exposures_is_seen_black() {
+    let exposure = |scale: f32| {
+        let mut picture = crate::images::Image::zeros(2, 1, 3);
+        picture.set_rgb(0, [scale * 0.2, 0.0, scale * 0.4]);
+        picture
+    };
+    let merged = RadiancePhotograph::merged_linear(&[exposure(1.0), exposure(0.125)], &[1.0, 0.125], Some(1.0)).unwrap();
+    assert_eq!(merged.states, [State::Seen { clipped: 0 }; 2]);
+    let [r, g, b] = merged.radiance.rgb(0);
+    assert!((r - 0.2).abs() < 1e-6 && g == 0.0 && (b - 0.4).abs() < 1e-6 && merged.radiance.rgb(1) == [0.0; 3], "{r} {g} {b}");
 }

@@ -104,3 +104,16 @@ fn nothing_known_and_nothing_to_choose_from_are_no_trouble() {
     let texel = flat(&harmonics, &seen, 0.0);
     assert!(suggest(&[texel], &icosahedron(73), 3).iter().all(|s| s.gain.is_finite()));
 }
+
+#[test]
+fn what_one_texel_alone_sees_may_be_suggested() {
+    let model = Model::Constant { value: [0.5; 3] };
+    let candidates = [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]];
+    // One of 64 faces the other way, wherever it stands.
+    for other in 0..64 {
+        let mut texels: Vec<KnownTexel<'_>> = (0..64).map(|_| flat(&model, &[], 0.01)).collect();
+        texels[other].local_from_shared = Mat3::from_rotation_x(std::f32::consts::PI);
+        assert_eq!(suggest(&texels, &candidates, 2).len(), 2, "texel {other}");
+        assert_eq!(suggest(&texels[..other], &candidates, 2).len(), if other == 0 { 2 } else { 1 });
+    }
+}

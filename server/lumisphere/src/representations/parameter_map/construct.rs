@@ -19,7 +19,7 @@ use super::{ModelCode, ParameterMap, Parameters, PartialFit, TexelTable, to_part
 use crate::capture::PartsError;
 use crate::capture::observation_map::{Observation, ObservationMap, ObservedTexel, State, TEXELS_PER_PAGE};
 use crate::fitting::harmonics::HarmonicsFitError;
-use crate::fitting::{Model, Noise, Outliers, Precision, SettingsError};
+use crate::fitting::{Model, Noise, Outliers, Precision, SettingsError, spread};
 use crate::progress::{Cancelled, Progress, Unattended};
 use crate::textures::{Codec, Page, PageId, PixelFormat, Staging, StoreError};
 
@@ -132,6 +132,11 @@ const BATCH: usize = 32;
 const SIZES: u64 = 1 << 12;
 // Pages whose texels say whether photographs lie on each other: two thousand texels are enough.
 const PAGES_COMPARED: usize = 32;
+
+/// Those of a map's pages.
+pub(super) fn compared_pages(pages: usize) -> impl Iterator<Item = usize> {
+    spread(pages.min(PAGES_COMPARED), pages)
+}
 
 /// Fits what `source` has and fills `staging` with pages and parts; the caller publishes. Can be called again on a staging area that an earlier,
 /// identical call left unfinished.
@@ -251,12 +256,11 @@ impl Fit<'_> {
     fn registration(&self, noise: Noise, follow: &dyn FollowFit) -> Result<Registration, FitError> {
         let (map, compared) = (self.source.map, self.source.map.page_count().min(PAGES_COMPARED));
         let mut comparison = Comparison::new(map.observers.len(), noise);
-        for done in 0..compared {
+        for (done, page) in compared_pages(map.page_count()).enumerate() {
             follow.report("comparing photographs", done as u64, compared as u64);
             if follow.is_cancelled() {
                 return Err(Cancelled.into());
             }
-            let page = done * map.page_count() / compared;
             let (pixels, kept, first) = (self.read(page)?, self.kept(page / BATCH)?, page % BATCH * TEXELS_PER_PAGE);
             let texels = map.texels_of_page(page);
             let model = |texel: &FittedTexel| texel.rungs.last().and_then(|rung| ModelCode::from_number(rung.code)?.unpack(&rung.quads));

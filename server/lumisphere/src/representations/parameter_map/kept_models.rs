@@ -3,9 +3,10 @@
 use super::FitError;
 use super::models::FittedTexel;
 use crate::capture::parts::{decode, encode};
-use crate::textures::Staging;
+use crate::textures::{Staging, StoreError};
 
-const PART: &str = "models";
+// A new layout gets a new name: what an older server kept is not read.
+const PART: &str = "models2";
 
 /// Models by batch.
 pub(super) struct KeptModels<'a> {
@@ -18,10 +19,13 @@ impl KeptModels<'_> {
         Ok(self.staging.put_scratch(&name(batch), &encode(PART, texels)?)?)
     }
 
-    /// A batch that was kept, by this run or an earlier one.
+    /// A batch that was kept, by this run or an earlier one; what was damaged since is not.
     pub fn read(&self, batch: usize) -> Result<Option<Vec<FittedTexel>>, FitError> {
-        let bytes = self.staging.scratch(&name(batch))?;
-        Ok(bytes.map(|bytes| decode(PART, &bytes)).transpose()?)
+        match self.staging.scratch(&name(batch)) {
+            Ok(bytes) => Ok(bytes.and_then(|bytes| decode(PART, &bytes).ok())),
+            Err(StoreError::DamagedFile { .. }) => Ok(None),
+            Err(e) => Err(e.into()),
+        }
     }
 }
 

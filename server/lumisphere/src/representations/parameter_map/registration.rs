@@ -16,15 +16,29 @@ use super::models::is_whole;
 use crate::capture::observation_map::{Observation, ObservedTexel};
 use crate::fitting::{Model, Noise};
 
-/// Photographs that lie beside the others.
+/// Photographs that lie beside the others. Written as `compared`, how many are `shifted`, and the four of them that are `worst`.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
+#[serde(into = "Report")]
 pub struct Registration {
     /// Photographs that were compared: those that show enough of the surface.
     pub compared: u64,
-    /// Those that lie beside the others.
-    pub shifted: u64,
-    /// The four of them whose shift explains most, in that order.
-    pub worst: Vec<Shifted>,
+    /// Those that lie beside the others, first those whose shift explains most.
+    pub shifted: Vec<Shifted>,
+}
+
+#[derive(Serialize)]
+struct Report {
+    compared: u64,
+    shifted: u64,
+    worst: Vec<Shifted>,
+}
+
+impl From<Registration> for Report {
+    fn from(Registration { compared, shifted: mut worst }: Registration) -> Self {
+        let shifted = worst.len() as u64;
+        worst.truncate(MOST_NAMED);
+        Self { compared, shifted, worst }
+    }
 }
 
 /// A photograph that lies beside the others.
@@ -167,10 +181,8 @@ impl Comparison {
     pub fn report(&self) -> Registration {
         let compared = self.sums.iter().filter(|sums| sums.iter().any(|s| s.tiles >= LEAST_TILES)).count() as u64;
         let mut shifted: Vec<Shifted> = self.sums.iter().enumerate().filter_map(|(row, sums)| shift_of(row, sums)).collect();
-        let count = shifted.len() as u64;
         shifted.sort_by(|a, b| b.explained.total_cmp(&a.explained).then(a.observation.cmp(&b.observation)));
-        shifted.truncate(MOST_NAMED);
-        Registration { compared, shifted: count, worst: shifted }
+        Registration { compared, shifted }
     }
 }
 

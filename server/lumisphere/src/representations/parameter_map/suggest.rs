@@ -13,11 +13,11 @@ use thiserror::Error;
 use super::models::residual;
 use super::{ModelCode, ParameterMap};
 use crate::capture::observation_map::{
-    Coverage, Observation, ObservationMap, ObservedTexel, TEXELS_PER_PAGE, directions_about, mean_normal,
+    Coverage, Observation, ObservationMap, ObservedTexel, State, TEXELS_PER_PAGE, directions_about, mean_normal,
 };
 use crate::directions::Scheme;
-use crate::fitting::Model;
 use crate::fitting::suggest::{KnownTexel, suggest};
+use crate::fitting::{Model, spread};
 use crate::progress::{Cancelled, Progress};
 use crate::textures::{Page, PageId, StoreError};
 
@@ -123,7 +123,7 @@ pub fn suggest_directions(
         directions_about(&settings.candidates, settings.coverage, axis).into_iter().map(|d| d.to_array()).collect();
     let has_model = |place: &usize| fitted.map.texels.texels[observed.map.texels[*place].index as usize].code != ModelCode::NONE;
     let places: Vec<usize> = (0..observed.map.texels.len()).filter(has_model).collect();
-    let chosen: Vec<usize> = (0..places.len().min(TEXELS)).map(|i| places[i * places.len() / places.len().min(TEXELS)]).collect();
+    let chosen: Vec<usize> = spread(places.len().min(TEXELS), places.len()).map(|at| places[at]).collect();
     let mut texels = Vec::new();
     for (done, place) in chosen.iter().enumerate() {
         progress.report("reading texels", done as u64, chosen.len() as u64);
@@ -144,7 +144,7 @@ pub fn suggest_directions(
 
 fn check(fitted: &ParameterMap, observed: &ObservationMap, settings: &SuggestSettings) -> Result<(), SuggestError> {
     let is_same = fitted.parameters.observed == observed.parameters
-        && fitted.surface.parts == observed.surface.parts
+        && fitted.surface == observed.surface
         && fitted.texels.texels.len() == observed.surface.parts as usize * (observed.parameters.size_texels as usize).pow(2);
     if !is_same {
         return Err(SuggestError::OtherObservations(fitted.parameters.observations.clone()));
@@ -176,7 +176,7 @@ impl Known {
     }
 }
 
-// A texel's model and where it was seen whole; None where it has no model.
+// A texel's model and where it was seen, clipped or not; None where it has no model.
 fn known(fitted: &Paged<'_, ParameterMap>, observed: &Paged<'_, ObservationMap>, place: usize) -> Result<Option<Known>, SuggestError> {
     let texel = &observed.map.texels[place];
     let Some(model) = model(fitted, texel)? else { return Ok(None) };
@@ -192,14 +192,15 @@ fn known(fitted: &Paged<'_, ParameterMap>, observed: &Paged<'_, ObservationMap>,
         .iter()
         .enumerate()
         .map(|(row, observer)| (texel.direction_to(observer).to_array(), Observation::from_texel(pixels.texel(column, row as u32))));
-    let (mut directions, mut squares) = (Vec::new(), 0.0);
-    for entry in seen {
+    let (mut directions, mut squares, mut whole) = (Vec::new(), 0.0, 0);
+    for entry in seen.filter(|(direction, entry)| direction[2] > 0.0 && entry.state != State::Missing) {
+        directions.push(entry.0);
+        // What a clipped value should be is not known.
         if let Some(residual) = residual(&model, &entry) {
-            squares += residual;
-            directions.push(entry.0);
+            (squares, whole) = (squares + residual, whole + 1);
         }
     }
-    let noise = (squares / (3 * directions.len()).max(1) as f64).sqrt() as f32;
+    let noise = (squares / (3 * whole).max(1) as f64).sqrt() as f32;
     let frame = texel.frame();
     let local_from_world = Mat3::from_cols_array_2d(&[Vec3::X, Vec3::Y, Vec3::Z].map(|world| frame.local_from_world(world).to_array()));
     Ok(Some(Known { model, directions, local_from_world, noise }))

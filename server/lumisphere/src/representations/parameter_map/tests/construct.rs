@@ -11,6 +11,7 @@ use crate::capture::{Background, surface_texels};
 use crate::directions::Scheme;
 use crate::fitting::{Basis, Lobe, Model, Outliers, Precision};
 use crate::progress::{Progress, Unattended};
+use crate::representations::parameter_map::construct::compared_pages;
 use crate::representations::parameter_map::{
     AllowedModels, ConstructSettings, FitError, FitSource, FitSummary, FollowFit, ModelCode, PartialFit, PartialMap, ReadObservations,
     construct, from_parts,
@@ -385,21 +386,34 @@ fn a_bounded_fit_that_is_stopped_anywhere_gives_the_same_bytes() {
     }
 }
 
-/// Throws away what is kept of the first batch when the models are about to be packed.
-struct Loses<'a>(&'a std::path::Path);
+#[test]
+fn pages_that_are_compared_lie_all_over_a_map() {
+    let (size, first) = (256, tiled_order(256).step_by(64).collect::<Vec<_>>());
+    let pages: Vec<usize> = compared_pages(first.len()).collect();
+    let distinct = |of: &dyn Fn(usize) -> usize| pages.iter().map(|page| of(first[*page])).collect::<std::collections::BTreeSet<_>>().len();
+    let (columns, rows) = (distinct(&|at| at % size / 8), distinct(&|at| at / size / 8));
+    assert!(pages.len() == 32 && columns > 16 && rows == 32, "{columns} columns, {rows} rows: {pages:?}");
+    assert_eq!(compared_pages(5).collect::<Vec<_>>(), [0, 1, 2, 3, 4]);
+}
+
+/// Does away with what is kept of the first batch when the models are about to be packed.
+struct Loses<'a> {
+    folder: &'a std::path::Path,
+    lose: fn(&std::path::Path),
+}
 
 impl Progress for Loses<'_> {
     fn report(&self, what: &str, _done: u64, _total: u64) {
         let kept = |folder: &std::path::Path| -> Vec<std::path::PathBuf> {
             std::fs::read_dir(folder).into_iter().flatten().map(|entry| entry.unwrap().path()).collect()
         };
-        let mut folders = if what == "packing" { vec![self.0.to_path_buf()] } else { Vec::new() };
+        let mut folders = if what == "packing" { vec![self.folder.to_path_buf()] } else { Vec::new() };
         while let Some(folder) = folders.pop() {
             for path in kept(&folder) {
                 if path.is_dir() {
                     folders.push(path);
-                } else if path.to_string_lossy().contains("models-000000") {
-                    std::fs::remove_file(path).unwrap();
+                } else if path.to_string_lossy().contains("models2-000000") {
+                    (self.lose)(&path);
                 }
             }
         }
@@ -423,13 +437,22 @@ fn models_that_are_lost_before_they_are_packed_are_named_and_fitted_again() {
     let folder = tempfile::tempdir().unwrap();
     let (store, _) = Store::open(folder.path(), StoreOptions::local()).unwrap();
     store.create_dataset("map").unwrap();
-    let staging = store.stage("map", "token").unwrap();
-    let lost = construct(&source(&map, &read), &settings(), &staging, &Loses(folder.path())).unwrap_err();
-    assert!(matches!(lost, FitError::Lost { batch: 0 }), "{lost}");
-    assert_eq!(lost.to_string(), "the kept models of batch 0 are gone or damaged; fitting again makes them anew");
-    let (_, summary) = construct(&source(&map, &read), &settings(), &staging, &Unattended).unwrap();
     // The first batch again, the second from where it is kept.
-    assert_eq!((summary.texels, summary.texels_of_this_run), (2 * (SIZE * SIZE) as u64, 32 * 64));
+    let again = (2 * (SIZE * SIZE) as u64, 32 * 64);
+    let remove = |path: &std::path::Path| std::fs::remove_file(path).unwrap();
+    let damage = |path: &std::path::Path| std::fs::write(path, b"damaged").unwrap();
+    for (token, lose) in [("removed", remove as fn(&std::path::Path)), ("damaged", damage)] {
+        let staging = store.stage("map", token).unwrap();
+        let lost = construct(&source(&map, &read), &settings(), &staging, &Loses { folder: folder.path(), lose }).unwrap_err();
+        assert!(matches!(lost, FitError::Lost { batch: 0 }), "{lost}");
+        assert_eq!(lost.to_string(), "the kept models of batch 0 are gone or damaged; fitting again makes them anew");
+        let (_, summary) = construct(&source(&map, &read), &settings(), &staging, &Unattended).unwrap();
+        assert_eq!((summary.texels, summary.texels_of_this_run), again, "{token}");
+        // Whole, but not as models are written now.
+        staging.put_scratch("models2-000000", b"of another layout").unwrap();
+        let (_, summary) = construct(&source(&map, &read), &settings(), &staging, &Unattended).unwrap();
+        assert_eq!((summary.texels, summary.texels_of_this_run), again, "{token}");
+    }
 }
 
 #[test]

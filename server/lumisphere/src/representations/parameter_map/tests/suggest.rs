@@ -74,6 +74,23 @@ fn what_nobody_has_photographed_is_suggested_in_the_worlds_space() {
 }
 
 #[test]
+fn where_a_photograph_is_clipped_there_is_one() {
+    let mut seen = Seen::from_x_below(0.2);
+    // A channel of all that lies left of -0.2.
+    let clipped: Vec<bool> = scheme("icosahedron:289").directions().into_iter().filter(|d| d.x < 0.2).map(|d| d.x < -0.2).collect();
+    for page in &mut seen.observed.1 {
+        let (shape, mut numbers) = (page.shape(), page.to_f32());
+        for (row, texels) in numbers.chunks_exact_mut(4 * shape.width as usize).enumerate().filter(|(row, _)| clipped[*row]) {
+            texels.chunks_exact_mut(4).filter(|texel| texel[3] == 1.0).for_each(|texel| texel[3] = 2.0);
+            assert!(row < shape.height as usize);
+        }
+        *page = Arc::new(Page::from_f32(shape, &numbers).unwrap());
+    }
+    let suggested = seen.suggest(&wanted(6), &Unattended).unwrap();
+    assert!(suggested.directions.iter().all(|one| one.direction[0] > 0.2), "{suggested:?}");
+}
+
+#[test]
 fn what_can_suggest_nothing_is_named() {
     let mut seen = Seen::from_x_below(2.0);
     let refused = |seen: &Seen, settings: SuggestSettings| seen.suggest(&settings, &Unattended).unwrap_err().to_string();
@@ -92,6 +109,10 @@ fn what_can_suggest_nothing_is_named() {
     seen.observed.1[0] =
         Arc::new(Page::from_f32(crate::textures::PageShape { height: 2, ..seen.observed.1[0].shape() }, &[0.0; 512]).unwrap());
     assert_eq!(refused(&seen, wanted(1)), "page 0 of the observations is 64x2, which its map does not announce");
+    let surface = seen.observed.0.surface.clone();
+    seen.observed.0.surface.mesh.positions[0].x += 0.1;
+    assert_eq!(refused(&seen, wanted(1)), "the parameter map was fitted to sheet, other observations than these");
+    seen.observed.0.surface = surface;
     seen.observed.0.parameters.seed = 7;
     assert_eq!(refused(&seen, wanted(1)), "the parameter map was fitted to sheet, other observations than these");
 }
