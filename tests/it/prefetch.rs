@@ -1,7 +1,7 @@
 //! Pages brought ahead of a moving viewer's next frame, through the real server.
 
 use std::cell::Cell;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use lumisphere_proto::v1alpha1 as wire;
 use serde_json::Value;
@@ -10,7 +10,7 @@ use wire::offset_surface_light_field_settings::{Blend, Component, Filter};
 use wire::render_settings::Representation;
 
 use crate::process::{PATIENCE, Server, temporary_folder};
-use crate::system::get;
+use crate::system::{get, metric};
 use crate::tiny;
 use crate::viewers::Viewer;
 use crate::wire::{camera_around, settings};
@@ -52,6 +52,19 @@ fn wait_for_looks(server: &Server, looks: u64) {
     let (begin, told) = (Instant::now(), format!("lumisphere_looks_ahead_total {looks}"));
     while !get(&server.http, "/metrics").1.lines().any(|line| line == told) {
         assert!(begin.elapsed() < PATIENCE, "not {looks} looks ahead in time");
+    }
+}
+
+/// Until the server has done nothing for a tenth of a second.
+fn wait_until_idle(server: &Server) {
+    let begin = Instant::now();
+    loop {
+        let before = server.cpu_seconds();
+        std::thread::sleep(Duration::from_millis(100));
+        if server.cpu_seconds() == before {
+            return;
+        }
+        assert!(begin.elapsed() < PATIENCE, "always busy");
     }
 }
 
@@ -109,6 +122,10 @@ async fn a_moving_viewer_misses_less_with_pages_brought_ahead_and_sees_the_same(
     assert!(0 < used && used + count(&tier, "prefetch_wasted") <= ahead, "{tier:#}");
     assert_eq!(missed_without - missed, used, "every page of use is a miss less");
     assert_eq!(count(&tier, "look_ups"), count(&tier, "hits") + count(&tier, "misses"));
+    // Once around again, where every page is: there is nothing to look for, and a look would keep the renderer from the next frame.
+    let looks = metric(&server, "looks_ahead_total");
+    walk(&mut Viewer::open_with(&server, 1, mirror()).await, (0..STEPS).map(around), |_| wait_until_idle(&server)).await;
+    assert_eq!((count(&gpu(&server), "misses"), metric(&server, "looks_ahead_total")), (missed, looks));
 }
 
 #[tokio::test(flavor = "multi_thread")]

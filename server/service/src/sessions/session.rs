@@ -370,7 +370,7 @@ impl Session {
                 }
                 rendered = self.render(&asked, who, sent + 1, hopeless, begun.clone()) => rendered,
             };
-            let turn = match rendered {
+            let (turn, wanted_more) = match rendered {
                 Ok(Rendered { mut shown, all_pages, is_full, still: begun, turn }) => {
                     let settled = turn.wish.changed + self.moving.as_ref().map_or(SETTLING, |moving| moving.settling);
                     let adapter = shown.frame.cache.and_then(|cache| cache.adapter).unwrap_or_default();
@@ -390,7 +390,7 @@ impl Session {
                     if !is_held_back {
                         sent_at = self.send(slot, shown);
                     }
-                    turn
+                    (turn, adapter.misses + adapter.prefetch_used > 0)
                 }
                 // The wish stays due: a viewer at rest sends nothing that would ask again.
                 Err(error) if error.reason() == Reason::RenderQueueFull => {
@@ -409,7 +409,9 @@ impl Session {
             if wish.poses > poses_shown {
                 motion.moved_to(drawn);
             }
-            expected = motion.next().map(|camera| Expected { version: self.version.clone(), camera, settings: wish.settings });
+            // Where a frame finds all of its pages the next one will, mostly, and a look ahead takes the renderer as long as a frame takes.
+            let next = motion.next().filter(|_| wanted_more);
+            expected = next.map(|camera| Expected { version: self.version.clone(), camera, settings: wish.settings });
             self.stage.metrics.poses_overtaken.inc_by((wish.poses - poses_shown).saturating_sub(1));
             poses_shown = wish.poses;
         }
