@@ -57,14 +57,14 @@ fn wait_for_looks(server: &Server, looks: u64) {
 
 /// Until the server has done nothing for a tenth of a second.
 fn wait_until_idle(server: &Server) {
-    let begin = Instant::now();
-    loop {
-        let before = server.cpu_seconds();
-        std::thread::sleep(Duration::from_millis(100));
-        if server.cpu_seconds() == before {
-            return;
-        }
+    let (begin, mut idle_since, mut seconds) = (Instant::now(), Instant::now(), server.cpu_seconds());
+    while idle_since.elapsed() < Duration::from_millis(100) {
         assert!(begin.elapsed() < PATIENCE, "always busy");
+        std::thread::yield_now();
+        let now = server.cpu_seconds();
+        if now != seconds {
+            (idle_since, seconds) = (Instant::now(), now);
+        }
     }
 }
 
