@@ -1,5 +1,6 @@
 //! Where a captured surface is no ball in the open: inside a bowl, which sees itself; at its foot, which touches the table; on its rim. A sweep over the
-//! offset ε, an error bound for what is shown as known, and a bound on what is flagged. The control is the same without asking what is between.
+//! offset ε, an error bound for what is shown as known, and a bound on what is flagged. The control, of mirrors and not at the foot, is the same without
+//! asking what is between.
 
 use glam::Vec3;
 
@@ -140,7 +141,7 @@ fn a_bowl_that_sees_itself_and_touches_the_table() {
                     }
                     // Close to the table sample points are few, and each sees another part of it.
                     _ => {
-                        let bound = if region == Region::Foot { 0.045 } else { 0.025 };
+                        let bound = if region == Region::Foot { [0.035, 0.02, 0.03][at] } else { 0.025 };
                         assert!(a.error() < bound && a.flagged() < 0.02, "{what}");
                         assert!(a.error() < 0.75 * b.error() || region == Region::Foot, "{what}");
                     }

@@ -409,7 +409,7 @@ impl Session {
             if wish.poses > poses_shown {
                 motion.moved_to(drawn);
             }
-            // Where a frame finds all of its pages the next one will, mostly, and a look ahead takes the renderer as long as a frame takes.
+            // Where a frame found all of its pages the next one will, mostly, and while the renderer looks ahead that one waits.
             let next = motion.next().filter(|_| wanted_more);
             expected = next.map(|camera| Expected { version: self.version.clone(), camera, settings: wish.settings });
             self.stage.metrics.poses_overtaken.inc_by((wish.poses - poses_shown).saturating_sub(1));

@@ -446,10 +446,10 @@ mod tests {
     use std::sync::atomic::{AtomicUsize, Ordering};
 
     use super::*;
-    use crate::capture::observation_map::from_parts;
+    use crate::capture::observation_map::tests::published;
     use crate::geometry::{Camera, Distortion, Intrinsics, PhotographCamera, Pose};
     use crate::progress::Unattended;
-    use crate::textures::{Publication, Store, StoreOptions};
+    use crate::textures::{Store, StoreOptions};
 
     /// A picture whose red is x and whose green is y, both over the picture's size, and whose blue is `blue`.
     fn ramp(width: usize, height: usize, blue: f32) -> RadiancePhotograph {
@@ -473,15 +473,7 @@ mod tests {
         let staging = store.stage("seen", "token").unwrap();
         let parameters =
             import(Photographed::Rectangle([2.0, 1.0]), views, &|k| Ok(pictures[k].clone()), &settings(), &staging, &Unattended)?;
-        let publication = Publication {
-            kind: "observation_map".into(),
-            parameters: serde_json::Value::Null,
-            inputs: Default::default(),
-            code_version: "test".into(),
-            created_unix_millis: 0,
-        };
-        let version = staging.publish(publication).unwrap();
-        let map = from_parts::<PartsError>(parameters, &|name| Ok(version.blob(name).unwrap())).unwrap();
+        let (map, version) = published(parameters, staging);
         let mut seen = vec![vec![Observation::MISSING; 100]; views.len()];
         for page in 0..map.page_count() {
             let pixels = version.read_page(PageId(page as u32)).unwrap();

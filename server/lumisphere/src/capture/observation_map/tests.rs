@@ -9,7 +9,7 @@ use crate::geometry::{Camera, Distortion, Intrinsics, PhotographCamera, Pose};
 use crate::progress::Unattended;
 use crate::raytrace::{TraceSettings, Tracer};
 use crate::scenes::{BuiltinOptions, LoadOptions, Scene, SceneBundle, builtin, load};
-use crate::textures::{Codec, DatasetVersion, PageId, Publication, Store, StoreOptions};
+use crate::textures::{Codec, DatasetVersion, PageId, Publication, Staging, Store, StoreOptions};
 
 /// A dull square in the plane y = 0, a wall beside it that hides it from some cameras.
 fn scene(wall: &str) -> Scene {
@@ -43,12 +43,8 @@ fn settings() -> ObserveSettings {
     }
 }
 
-fn observed(scene: &Scene, settings: &ObserveSettings) -> (ObservationMap, std::sync::Arc<DatasetVersion>, tempfile::TempDir) {
-    let folder = tempfile::tempdir().unwrap();
-    let (store, _) = Store::open(folder.path(), StoreOptions::local()).unwrap();
-    store.create_dataset("seen").unwrap();
-    let staging = store.stage("seen", "token").unwrap();
-    let parameters = observe(scene, settings, &staging, &Unattended).unwrap();
+/// What was staged, as a map of the test's dataset.
+pub(super) fn published(parameters: ObservationParameters, staging: Staging) -> (ObservationMap, std::sync::Arc<DatasetVersion>) {
     let publication = Publication {
         kind: OBSERVATION_MAP.into(),
         parameters: serde_json::Value::Null,
@@ -58,6 +54,16 @@ fn observed(scene: &Scene, settings: &ObserveSettings) -> (ObservationMap, std::
     };
     let version = staging.publish(publication).unwrap();
     let map = from_parts::<PartsError>(parameters, &|name| Ok(version.blob(name).unwrap())).unwrap();
+    (map, version)
+}
+
+fn observed(scene: &Scene, settings: &ObserveSettings) -> (ObservationMap, std::sync::Arc<DatasetVersion>, tempfile::TempDir) {
+    let folder = tempfile::tempdir().unwrap();
+    let (store, _) = Store::open(folder.path(), StoreOptions::local()).unwrap();
+    store.create_dataset("seen").unwrap();
+    let staging = store.stage("seen", "token").unwrap();
+    let parameters = observe(scene, settings, &staging, &Unattended).unwrap();
+    let (map, version) = published(parameters, staging);
     (map, version, folder)
 }
 
@@ -243,15 +249,7 @@ fn imported(
     let settings = ImportSettings { size_texels: 20, list: "transforms.json".into(), pixel_format, codec };
     let load = |k: usize| Ok(pictures[k].clone());
     let parameters = import(Photographed::Object { scene, object }, views, &load, &settings, &staging, &Unattended)?;
-    let publication = Publication {
-        kind: OBSERVATION_MAP.into(),
-        parameters: serde_json::Value::Null,
-        inputs: Default::default(),
-        code_version: "test".into(),
-        created_unix_millis: 0,
-    };
-    let version = staging.publish(publication).unwrap();
-    let map = from_parts::<PartsError>(parameters, &|name| Ok(version.blob(name).unwrap())).unwrap();
+    let (map, version) = published(parameters, staging);
     Ok(entries(&map, &version))
 }
 

@@ -89,11 +89,6 @@ impl Measured {
         self.values.iter().map(|v| v.extend(0.0).into()).chain(cells.map(|((up_to, below), edges)| [below, *up_to, edges[0], edges[1]]))
     }
 
-    /// In memory.
-    pub fn bytes(&self) -> u64 {
-        size_of_val(self.values.as_slice()) as u64
-    }
-
     /// Density of half vectors per steradian.
     fn half_pdf(&self, h: Vec3) -> f32 {
         let cell = half_cell(h);

@@ -1,4 +1,4 @@
-//! An analytic model as its WGSL twin, `brdf.wgsl`, takes it: one layout for all, a number for the model.
+//! A model as its WGSL twin, `brdf.wgsl`, takes it: one layout for all, a number for the model.
 
 use bytemuck::{Pod, Zeroable};
 use glam::{Vec2, Vec3};
