@@ -225,22 +225,35 @@ async fn motion(server: &Server, stand: &Stand) {
     bound("frames a second with two credits / 1000 / ms in the server", rate * own / 1e3, 0.95, rate * own / 1e3 >= 0.95);
 }
 
+/// Below it colour is stored at half resolution, as OpenCV's encoder does at 90.
+const FULL_COLOR: u32 = 90;
+
 async fn delivery(server: &Server, stand: &Stand) {
-    let mut viewer = Viewer::open(server.rendering().await, *stand, (640, 480), 1).await;
-    let (mut delivered, mut rendering) = (Vec::new(), Vec::new());
-    for run in 0..WARM_UP + RUNS {
-        let begun = Instant::now();
-        viewer.step().await;
-        let frame = viewer.frame().await.expect("a frame");
-        decode_image_codes(&frame.color, ReadLimits::SCENE).expect("a picture");
-        let t = frame.timings.expect("every frame has timings");
-        if run >= WARM_UP {
-            rendering.push(1e-3 * (t.pages_micros + t.render_micros) as f64);
-            delivered.push(1e3 * begun.elapsed().as_secs_f64() - rendering[rendering.len() - 1]);
+    println!("\ndelivery: from pose to decoded frame, less the rendering");
+    for (quality, color) in [(FULL_COLOR, "full"), (FULL_COLOR - 1, "half")] {
+        let mut viewer = Viewer::open(server.rendering().await, *stand, (640, 480), 1).await;
+        let output = Some(wire::OutputSettings { encoding: wire::Encoding::Jpeg.into(), jpeg_quality: quality, ..Default::default() });
+        viewer.send(Up::Settings(wire::SettingsUpdate { settings: None, output })).await;
+        let (mut delivered, mut rendering, mut parts): (Vec<f64>, Vec<f64>, [Vec<f64>; 3]) = Default::default();
+        for run in 0..WARM_UP + RUNS {
+            let begun = Instant::now();
+            viewer.step().await;
+            let frame = viewer.frame().await.expect("a frame");
+            let came = Instant::now();
+            decode_image_codes(&frame.color, ReadLimits::SCENE).expect("a picture");
+            let t = frame.timings.expect("every frame has timings");
+            if run >= WARM_UP {
+                rendering.push(1e-3 * (t.pages_micros + t.render_micros) as f64);
+                delivered.push(1e3 * begun.elapsed().as_secs_f64() - rendering[rendering.len() - 1]);
+                let millis = [t.queue_micros, t.encode_micros, came.elapsed().as_micros() as u64].map(|micros| 1e-3 * micros as f64);
+                parts.iter_mut().zip(millis).for_each(|(part, millis)| part.push(millis));
+            }
         }
+        let (median, slow, render) = (quantile(&mut delivered, 0.5), quantile(&mut delivered, 0.95), quantile(&mut rendering, 0.5));
+        let [queue, encoding, decoding] = parts.each_mut().map(|part| quantile(part, 0.5));
+        println!("  JPEG {quality}, colour at {color} resolution, {render:.1} ms of rendering: median {median:.1} ms, 95 % {slow:.1} ms;");
+        println!("    of these {queue:.1} in the queue, {encoding:.1} encoding, {decoding:.1} decoding");
     }
-    let (median, slow, render) = (quantile(&mut delivered, 0.5), quantile(&mut delivered, 0.95), quantile(&mut rendering, 0.5));
-    println!("\ndelivery: from pose to decoded frame, less {render:.1} ms of rendering: median {median:.1} ms, 95 % {slow:.1} ms");
     let rate = Viewer::open(server.rendering().await, *stand, (640, 480), 2).await.walk(SECONDS).await;
     println!("  frames a second with two credits: {rate:.2}");
     // As many credits as there may be: what the server may send without an answer.

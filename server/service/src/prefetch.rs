@@ -1,4 +1,5 @@
-//! Pages for a viewer's next frame, brought while there is none to draw: `sessions` looks ahead after each frame of a viewer who moves.
+//! Pages for a viewer's next frame, brought while there is none to draw: `sessions` looks ahead after frames of a viewer who moves, where that
+//! leaves time for it.
 //!
 //! A look on the render thread tells which pages the extrapolated camera misses; they are read into memory off that thread, so that a slow
 //! disk delays nobody, and handed to the adapter in small pieces, between which any frame goes first. A frame that comes during the look, which
@@ -55,9 +56,13 @@ pub struct Expected {
 }
 
 impl Expected {
-    /// Brings what such a frame would miss on the adapter, at most `upload_bytes` of texels; how many pages.
-    pub async fn bring(self, frames: &Frames, upload_bytes: u64) -> Result<usize, ApiError> {
-        let missing = frames.look_ahead(self.clone(), upload_bytes).await?;
+    /// What such a frame would miss on the adapter, at most `upload_bytes` of texels.
+    pub async fn missing(&self, frames: &Frames, upload_bytes: u64) -> Result<Vec<PageId>, ApiError> {
+        frames.look_ahead(self.clone(), upload_bytes).await
+    }
+
+    /// Brings these pages, a piece at a time; how many.
+    pub async fn bring(self, frames: &Frames, missing: &[PageId]) -> Result<usize, ApiError> {
         let mut brought = 0;
         for piece in missing.chunks(PAGES_AT_ONCE) {
             let (version, piece) = (self.version.clone(), piece.to_vec());

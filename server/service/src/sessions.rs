@@ -7,6 +7,7 @@ mod crowd;
 mod interact;
 mod kept;
 mod link;
+mod looks;
 mod pace;
 mod seat;
 mod session;

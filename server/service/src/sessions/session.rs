@@ -19,6 +19,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::crowd::Crowd;
 use super::link::{Link, Size};
+use super::looks::Looks;
 use super::pace::{Pace, Took, share, smaller};
 use super::seat::Seat;
 use super::wish::{Change, Sequences, Wish};
@@ -289,6 +290,7 @@ impl Session {
         // What an earlier stream showed is shown again.
         let (mut shown, mut owed, mut poses_shown) = (0, Owed::Nothing, self.wish.borrow().poses.saturating_sub(1));
         let (mut motion, mut expected, mut crowd) = (Motion::default(), None, Crowd::default());
+        let mut looks = Looks::default();
         // The wish whose next frame waits for all its pages: more of those that do not would never have them.
         let mut hopeless = 0;
         let mut sent_at = Instant::now();
@@ -309,7 +311,7 @@ impl Session {
                 () = last.cancelled() => return ShowEnded::Left,
                 () = self.until_mute(sent, sent_at) => return ShowEnded::Mute,
                 // Dropped as soon as there is something to draw.
-                () = self.prefetch(&mut expected) => {}
+                () = self.prefetch(&mut expected, &mut looks) => {}
             }
             // Room in the outbox first: what is rendered can then be sent.
             let slot = match tokio::time::timeout(self.stage.mute_patience, down.reserve()).await {
@@ -475,11 +477,18 @@ impl Session {
         moving.pace().drawn(size.share, took);
     }
 
-    /// Brings what the expected frame would miss, once, and never returns.
-    async fn prefetch(&self, expected: &mut Option<Expected>) {
+    /// Brings what the expected frame would miss, once, where the viewer leaves time for it, and never returns.
+    async fn prefetch(&self, expected: &mut Option<Expected>, looks: &mut Looks) {
         let reads_pages = |e: &Expected| e.settings.ground_truth.is_none() && e.settings.backend != BackendChoice::Cpu;
-        if let Some(expected) = expected.take().filter(|e| self.stage.looks_ahead && reads_pages(e)) {
-            match expected.bring(&self.stage.frames, self.stage.upload_bytes_per_frame).await {
+        let expected = expected.take().filter(|e| self.stage.looks_ahead && reads_pages(e));
+        if let Some(expected) = expected.filter(|_| looks.begin()) {
+            let missing = expected.missing(&self.stage.frames, self.stage.upload_bytes_per_frame).await;
+            looks.end();
+            let brought = match missing {
+                Ok(missing) => expected.bring(&self.stage.frames, &missing).await,
+                Err(error) => Err(error),
+            };
+            match brought {
                 Ok(pages) => tracing::trace!(pages, "brought ahead"),
                 // The frame itself will tell the viewer.
                 Err(error) => tracing::debug!(%error, "nothing brought ahead"),
