@@ -33,6 +33,9 @@ pub struct SettingsFlags {
     /// Specular reflectance, each in 0 to 1
     #[arg(long, value_name = "R,G,B", value_parser = parse_vec3, default_value = "1,1,1")]
     pub specular: [f32; 3],
+    /// Mirror reflections of mirror and full one after the other, 1 to 4: from the second on the object sees itself as it is shown [default: 1]
+    #[arg(long, value_name = "N", default_value_t = 0, hide_default_value = true)]
+    pub reflections: u32,
     /// How cube maps are read
     #[arg(long, value_enum, default_value = "footprint")]
     pub filter: Filter,
@@ -120,6 +123,8 @@ pub struct Looks<'a> {
     pub light: &'a LightFlags,
     /// Of component refraction.
     pub clear: &'a ClearFlags,
+    /// Of components mirror and full; 0 is the server's default.
+    pub reflections: u32,
 }
 
 impl Looks<'static> {
@@ -128,7 +133,7 @@ impl Looks<'static> {
         static GLOSS: GlossFlags = GlossFlags { brdf: None, directions: 0, passes: 0, integration_order: None };
         static LIGHT: LightFlags = LightFlags { environment_turn_deg: 0.0, point_light: Vec::new() };
         static CLEAR: ClearFlags = ClearFlags { refraction_index: None, body: None };
-        Self { gloss: &GLOSS, light: &LIGHT, clear: &CLEAR }
+        Self { gloss: &GLOSS, light: &LIGHT, clear: &CLEAR, reflections: 0 }
     }
 }
 
@@ -263,7 +268,7 @@ impl SettingsFlags {
     pub fn to_wire(&self, kind: &str) -> wire::RenderSettings {
         let default = if kind == "parameter_map" { Component::Radiance } else { Component::Reconstruction };
         let component = self.component.unwrap_or(default);
-        let looks = Looks { gloss: &self.gloss, light: &self.light, clear: &self.clear };
+        let looks = Looks { gloss: &self.gloss, light: &self.light, clear: &self.clear, reflections: self.reflections };
         let stored = settings(component, self.blend, self.specular, self.filter, self.backend, looks);
         wire::RenderSettings { ground_truth: self.truth.to_wire(), ..stored }
     }
@@ -314,7 +319,7 @@ pub fn settings(
     specular: [f32; 3],
     filter: Filter,
     backend: Backend,
-    Looks { gloss, light, clear }: Looks<'_>,
+    Looks { gloss, light, clear, reflections }: Looks<'_>,
 ) -> wire::RenderSettings {
     let (blend, exponent) = match blend {
         Blend::Distance => (WireBlend::Distance, None),
@@ -368,6 +373,7 @@ pub fn settings(
             .into(),
         }),
         relighting: light.to_wire(),
+        reflections,
         refraction: (component == WireComponent::Refraction).then(|| Refraction {
             index: clear.refraction_index,
             body: match clear.body {

@@ -112,7 +112,7 @@ impl AskedLooks {
             GlossFlags { brdf: self.brdf.clone(), directions: self.directions, passes: 0, integration_order: self.integration_order };
         let light = LightFlags { environment_turn_deg: self.environment_turn_deg.unwrap_or(0.0), point_light: Vec::new() };
         let clear = ClearFlags { refraction_index: self.refraction_index, body: None };
-        settings(component, blend, specular, filter, backend, Looks { gloss: &gloss, light: &light, clear: &clear })
+        settings(component, blend, specular, filter, backend, Looks { gloss: &gloss, light: &light, clear: &clear, reflections: 0 })
     }
 }
 

@@ -38,6 +38,7 @@ pub fn settings(component: Component, blend: Blend) -> wire::RenderSettings {
         filter: 0,
         gloss: None,
         relighting: None,
+        reflections: 0,
         refraction: None,
     };
     wire::RenderSettings {

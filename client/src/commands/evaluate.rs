@@ -42,6 +42,9 @@ pub struct EvaluateFlags {
     /// Specular reflectance, each in 0 to 1
     #[arg(long, value_name = "R,G,B", value_parser = parse_vec3, default_value = "1,1,1")]
     specular: [f32; 3],
+    /// Mirror reflections of mirror and full one after the other, 1 to 4; the truth has as many [default: 1]
+    #[arg(long, value_name = "N", default_value_t = 0, hide_default_value = true)]
+    reflections: u32,
     #[command(flatten)]
     gloss: GlossFlags,
     #[command(flatten)]
@@ -142,7 +145,7 @@ impl EvaluateFlags {
     }
 
     fn settings(&self) -> Vec<wire::RenderSettings> {
-        let looks = Looks { gloss: &self.gloss, light: &self.light, clear: &self.clear };
+        let looks = Looks { gloss: &self.gloss, light: &self.light, clear: &self.clear, reflections: self.reflections };
         let one = |component, blend, filter| settings(component, blend, self.specular, filter, self.backend, looks);
         let of = |component: Component, filter: Filter| {
             component.blends(&self.blends).into_iter().map(move |blend| one(component, blend, filter))

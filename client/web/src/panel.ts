@@ -9,6 +9,9 @@ export interface Controls<T> {
   show(values: T): void;
 }
 
+/** Of presets: a text that is none of them. Never a preset's own text, which may be empty. */
+const OWN = 'own';
+
 type Input = HTMLInputElement | HTMLSelectElement | HTMLTextAreaElement;
 
 interface Row<T> {
@@ -83,9 +86,9 @@ function control<T>(field: Field<T>, id: string): { nodes: Node[]; input: Input;
     }
     case 'text': {
       const input = make('textarea', { id, rows: 4, spellcheck: 'false' });
-      const presets = select([...field.presets, ['', 'own']], { 'aria-label': `${field.label}, presets` });
+      const presets = select([...field.presets, [OWN, 'own']], { 'aria-label': `${field.label}, presets` });
       presets.addEventListener('change', () => {
-        if (presets.value === '') {
+        if (presets.value === OWN) {
           input.focus();
           return;
         }
@@ -93,7 +96,7 @@ function control<T>(field: Field<T>, id: string): { nodes: Node[]; input: Input;
         input.dispatchEvent(new Event('change'));
       });
       const shown = (value: string): void => {
-        presets.value = field.presets.some(([preset]) => preset === value) ? value : '';
+        presets.value = field.presets.some(([preset]) => preset === value) ? value : OWN;
       };
       return { nodes: [presets, input], input, shown };
     }

@@ -41,6 +41,7 @@ export interface Settings {
   /** Point lights more, `X,Y,Z:R,G,B` each, separated by spaces. */
   readonly pointLights: string;
   /** Of a clear body. */
+  readonly reflections: number;
   readonly refractionIndex: number;
   readonly body: string;
   readonly show: string;
@@ -98,6 +99,7 @@ export const DEFAULT_SETTINGS: Settings = {
   passes: 16,
   environmentTurn: 0,
   pointLights: '',
+  reflections: 1,
   refractionIndex: 1.5,
   body: 'solid',
   show: 'radiance',
@@ -203,6 +205,16 @@ export const SETTING_FIELDS: readonly Field<Settings>[] = [
       applies: showsComponent('mirror', 'full'),
     }),
   ),
+  {
+    key: 'reflections',
+    label: 'Reflections',
+    hint: 'From the second on it sees itself.',
+    control: 'number',
+    least: 1,
+    most: 4,
+    step: 1,
+    applies: showsComponent('mirror', 'full'),
+  },
   {
     key: 'brdf',
     label: 'BRDF',

@@ -255,6 +255,7 @@ function renderSettings(kind: Kind, settings: Settings): RenderSettings {
     blend: BLENDS[settings.blend] ?? Blend.BLEND_UNSPECIFIED,
     exponent: settings.exponent,
     specularReflectance: { x: settings.specularRed, y: settings.specularGreen, z: settings.specularBlue },
+    reflections: settings.reflections,
     filter: FILTERS[settings.filter] ?? Filter.FILTER_UNSPECIFIED,
     ...(settings.component === 'glossy' && {
       gloss: {

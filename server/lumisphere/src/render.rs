@@ -373,6 +373,7 @@ mod tests {
             specular_reflectance: glam::Vec3::ONE,
             filter: oslf::Filter::Footprint,
             light: crate::scenes::Relighting::NONE,
+            reflections: 1,
         })
     }
 

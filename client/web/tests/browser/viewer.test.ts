@@ -428,6 +428,21 @@ describe('light and matter', () => {
     await viewer.screenshot('relit');
   });
 
+  test('every field is as wide as the panel that it is in', async () => {
+    const wider = await viewer.page.locator('.panel').evaluate((panel) => {
+      const isWider = (box: Element) => box.scrollWidth > box.clientWidth;
+      return [panel, ...panel.querySelectorAll('.field:not([hidden])')].filter(isWider).map((box) => box.textContent);
+    });
+    expect(wider).toEqual([]);
+  });
+
+  test("lights of one's own are no preset, and the preset without any puts them out", async () => {
+    const presets = viewer.field('Point lights, presets');
+    expect(await presets.locator('option:checked').textContent()).toBe('own');
+    await viewer.becomesStillAfter(() => presets.selectOption({ label: 'none' }));
+    expect(asked().relighting?.pointLights).toEqual([]);
+  });
+
   test('a clear body has its index and is solid or a shell', async () => {
     await viewer.becomesStillAfter(() => viewer.field('Component').selectOption('refraction'));
     await seen(viewer, 'patchwork');

@@ -8,7 +8,7 @@ use lumisphere::evaluate::{Truth, TruthRenderer};
 use lumisphere::geometry::Camera;
 use lumisphere::images::{CompareOptions, Image, compare};
 use lumisphere::progress::Unattended;
-use lumisphere::raytrace::{Appearance, TraceSettings, Tracer};
+use lumisphere::raytrace::{Appearance, Mirrors, TraceSettings, Tracer};
 use lumisphere::render::{Refine, Renderer, Representation};
 use lumisphere::representations::CachedPages;
 use lumisphere::representations::offset_surface_light_field::{Blend, Component, Filter};
@@ -36,7 +36,7 @@ fn timed(runs: usize, mut make: impl FnMut() -> Image) -> (f64, f64, Image) {
 pub fn report(field: &Arc<dyn Representation>, pages: &CachedPages, renderer: &Renderer, cameras: [Camera; 2]) {
     let scene = builtin("gazebo", &BuiltinOptions::full()).expect("it ships with us");
     let object = scene.object("teapot").expect("the gazebo has one");
-    let tracer = Tracer::new(&scene).expect("our own scene").with_appearance(object, Appearance::OneMirror { reflectance: Vec3::ONE });
+    let tracer = Tracer::new(&scene).expect("our own scene").with_appearance(object, Appearance::Mirrors(Mirrors::one(Vec3::ONE)));
     let truths = TruthRenderer::new(&scene, object).expect("our own scene");
     let trace = |samples_per_pixel, seed| TraceSettings { samples_per_pixel, max_bounces: 1, seed };
     println!("view  frame                 FLIP  wall, ms   CPU, ms");

@@ -36,7 +36,7 @@ const IDLE_CAP_BYTES: u64 = 16 << 20;
 /// In the light that is stored.
 fn settings(component: Component, blend: Blend, filter: Filter) -> Settings {
     let (specular_reflectance, light) = (Vec3::ONE, Relighting::NONE);
-    Settings::OffsetSurfaceLightField(OslfSettings { component, blend, specular_reflectance, filter, light })
+    Settings::OffsetSurfaceLightField(OslfSettings { component, blend, specular_reflectance, filter, light, reflections: 1 })
 }
 
 fn main() {
@@ -103,6 +103,7 @@ fn main() {
             specular_reflectance: Vec3::ONE,
             filter: Filter::Footprint,
             light: Relighting::NONE,
+            reflections: 1,
         });
         for backend in backends(renderer.adapter().is_some()) {
             let render = |camera: &Camera| {
@@ -132,6 +133,7 @@ fn report_paging(field: &Arc<dyn Representation>, version: &Arc<DatasetVersion>,
         specular_reflectance: Vec3::ONE,
         filter: Filter::Footprint,
         light: Relighting::NONE,
+        reflections: 1,
     };
     let settings = Settings::OffsetSurfaceLightField(settings);
     let cameras: Vec<Camera> = (0..STEPS).map(|k| orbit_at(center, radius, k as f32 / STEPS as f32)).collect();

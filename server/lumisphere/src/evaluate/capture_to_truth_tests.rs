@@ -143,6 +143,7 @@ fn measured(scene: &Scene, stored: &Stored) -> Errors {
             specular_reflectance: Vec3::ONE,
             filter: Filter::Footprint,
             light: Relighting::NONE,
+            reflections: 1,
         })
     };
     let mirrors = BLENDS.into_iter().chain([Blend::EnvironmentMap]).map(|blend| setting(Component::Mirror, blend));

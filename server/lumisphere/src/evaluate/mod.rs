@@ -30,7 +30,7 @@ use crate::images::{CompareError, CompareOptions, Image, absolute_error_image, c
 use crate::progress::{Cancelled, Progress};
 use crate::radiometry::brdf::{BrdfModel, Measured};
 use crate::radiometry::dielectric::Dielectric;
-use crate::raytrace::{TraceError, TraceSettings};
+use crate::raytrace::{Mirrors, TraceError, TraceSettings};
 use crate::render::Backend;
 use crate::representations::offset_surface_light_field::GlossBrdf;
 use crate::representations::{Kind, Settings};
@@ -133,15 +133,21 @@ pub fn evaluate<E: std::error::Error>(
         return Err(EvaluateError::Plan("at least one camera, one setting and one timed frame expected".into()));
     }
     let mut looks = Vec::new();
-    for look in
-        plan.settings.iter().map(|s| (s.brdf(), s.dielectric(), s.light())).filter(|(brdf, body, _)| brdf.is_some() || body.is_some())
+    for look in plan
+        .settings
+        .iter()
+        .map(|s| (s.brdf(), s.dielectric(), several(s), s.light()))
+        .filter(|(brdf, body, mirrors, _)| brdf.is_some() || body.is_some() || mirrors.is_some())
     {
         if !looks.contains(&look) {
             looks.push(look);
         }
     }
     if looks.len() > MOST_LOOKS {
-        let problem = format!("{} BRDFs and clear bodies, each in its light, at most {MOST_LOOKS} expected", looks.len());
+        let problem = format!(
+            "{} BRDFs, clear bodies and mirrors that see themselves, each in its light, at most {MOST_LOOKS} expected",
+            looks.len()
+        );
         return Err(EvaluateError::Plan(problem));
     }
     for camera in &plan.cameras {
@@ -176,6 +182,8 @@ pub fn evaluate<E: std::error::Error>(
             truths.add_glossy(&mut view, camera, &brdfs, &plan.trace, progress)?;
             let bodies: Vec<Dielectric> = lit.iter().filter_map(|s| s.dielectric()).collect();
             truths.add_clear(&mut view, camera, &bodies, &plan.trace, progress)?;
+            let mirrors: Vec<Mirrors> = lit.iter().filter_map(|s| several(s)).collect();
+            truths.add_mirrors(&mut view, camera, &mirrors, &plan.trace, progress)?;
             views.push(view);
         }
         if !views[0].mask.contains(&true) {
@@ -206,7 +214,7 @@ pub fn evaluate<E: std::error::Error>(
     Ok(totals.into_iter().enumerate().flat_map(of_setting).collect())
 }
 
-/// A view's truths are held together: one picture a BRDF or clear body and light.
+/// A view's truths are held together: one picture a BRDF, clear body or mirror that sees itself, and light.
 pub const MOST_LOOKS: usize = 8;
 /// And up to three of each light.
 const MOST_LIGHTS: usize = 4;
@@ -219,11 +227,20 @@ fn truths_of(settings: &Settings, plan: &Plan) -> Vec<Truth> {
     if settings.dielectric().is_some() {
         return vec![Truth::OneRefraction];
     }
-    match (settings.brdf(), settings.reflection()) {
+    let of_mirror = |truth: &Truth| match truth {
+        Truth::OneReflection if several(settings).is_some() => Truth::SeveralReflections,
+        other => *other,
+    };
+    match (settings.brdf(), settings.mirrors()) {
         (Some(_), _) => vec![Truth::OneGlossyReflection],
         (None, None) => vec![Truth::Diffuse],
-        (None, Some(_)) => plan.mirror_truths.clone(),
+        (None, Some(_)) => plan.mirror_truths.iter().map(of_mirror).collect(),
     }
+}
+
+// Of a mirror that sees itself.
+fn several(settings: &Settings) -> Option<Mirrors> {
+    settings.mirrors().filter(|mirrors| mirrors.reflections > 1)
 }
 
 // Names for files, unique among the settings: those that differ in nothing that is named (reflectance, backend) are numbered.

@@ -97,7 +97,7 @@ pub(super) fn captured(scene: &Scene, object: &str, points: u32, epsilon: Option
 }
 
 fn shown(component: Component, blend: Blend, light: Relighting) -> oslf::Settings {
-    oslf::Settings { component, blend, specular_reflectance: Vec3::ONE, filter: Filter::Footprint, light }
+    oslf::Settings { component, blend, specular_reflectance: Vec3::ONE, filter: Filter::Footprint, light, reflections: 1 }
 }
 
 /// RMSE of L* / 100 of frames with each of `frames` against the truth of `of`, over both views.

@@ -54,7 +54,8 @@ impl PictureNames {
     /// `slug` names the setting among those of the evaluation.
     pub(super) fn new(view: usize, setting: &SettingName, slug: &str, truth: Truth) -> Self {
         // What is true of a BRDF, or in other light, is so of one setting.
-        let is_its_own = matches!(truth, Truth::OneGlossyReflection | Truth::OneRefraction) || setting.light.is_some();
+        let is_its_own =
+            matches!(truth, Truth::OneGlossyReflection | Truth::OneRefraction | Truth::SeveralReflections) || setting.light.is_some();
         let of = if is_its_own { slug } else { setting.component };
         let truth = truth.name();
         Self {
@@ -171,6 +172,7 @@ mod tests {
         light: None,
         directions: None,
         body: None,
+        reflections: None,
         order: None,
     };
 

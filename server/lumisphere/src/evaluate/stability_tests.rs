@@ -8,6 +8,7 @@ use super::relighting_tests::{Stored, captured};
 use super::*;
 use crate::progress::Unattended;
 use crate::radiometry::color::Lab;
+use crate::raytrace::Mirrors;
 use crate::render::Renderer;
 use crate::representations::offset_surface_light_field as oslf;
 use crate::representations::{Answer, FrameRequest, Outputs, Refine};
@@ -76,17 +77,27 @@ fn lightness(rgb: [f32; 3]) -> f64 {
     Lab::from_linear(rgb).l / Lab::UNIT_SCALE
 }
 
-fn found(scene: &Scene, stored: &Stored, truths: &[ViewTruth], component: Component, blend: Blend) -> [Found; 4] {
+fn shown(component: Component, blend: Blend, reflections: u32) -> Settings {
+    let (light, specular_reflectance) = (Relighting::NONE, Vec3::ONE);
+    Settings::OffsetSurfaceLightField(oslf::Settings {
+        component,
+        blend,
+        specular_reflectance,
+        filter: Filter::Footprint,
+        light,
+        reflections,
+    })
+}
+
+/// Of frames with `settings`, beside the truth of `of`.
+fn found(scene: &Scene, stored: &Stored, truths: &[ViewTruth], settings: &Settings, of: (&Settings, Truth)) -> [Found; 4] {
     let renderer = Renderer::cpu_only();
-    let light = Relighting::NONE;
-    let settings = oslf::Settings { component, blend, specular_reflectance: Vec3::ONE, filter: Filter::Footprint, light };
-    let settings = Settings::OffsetSurfaceLightField(settings);
     let mut all = [Found::default(); 4];
     for (camera, truth) in scene.cameras.iter().map(|c| &c.camera).zip(truths) {
         let outputs = Outputs { depth: true, provenance: true };
-        let request = FrameRequest { camera, settings: &settings, outputs, refine: Refine::Whole, table: None };
+        let request = FrameRequest { camera, settings, outputs, refine: Refine::Whole, table: None };
         let pixels = renderer.render(&stored.field, &stored.pages, &request, None).unwrap().pixels;
-        let reference = truth.reference(&settings, if component == Component::Mirror { Truth::OneReflection } else { Truth::Diffuse });
+        let reference = truth.reference(of.0, of.1);
         let (depth, provenance) = (pixels.depth.unwrap(), pixels.provenance.unwrap());
         let width = camera.intrinsics().width_px;
         for at in (0..depth.len()).filter(|at| truth.mask[*at]) {
@@ -117,8 +128,11 @@ fn a_bowl_that_sees_itself_and_touches_the_table() {
     for (at, epsilon) in [0.02, 0.06, 0.2].into_iter().enumerate() {
         let stored = captured(&scene, "bowl", 260, Some(epsilon));
         for component in [Component::Reconstruction, Component::Mirror] {
-            let [corrected, plain] =
-                [Blend::Corrected, Blend::Normal { exponent: 4.0 }].map(|blend| found(&scene, &stored, &truths, component, blend));
+            let truth = if component == Component::Mirror { Truth::OneReflection } else { Truth::Diffuse };
+            let [corrected, plain] = [Blend::Corrected, Blend::Normal { exponent: 4.0 }].map(|blend| {
+                let settings = shown(component, blend, 1);
+                found(&scene, &stored, &truths, &settings, (&settings, truth))
+            });
             for (k, region) in REGIONS.into_iter().enumerate() {
                 let (a, b) = (corrected[k], plain[k]);
                 println!(
@@ -147,6 +161,40 @@ fn a_bowl_that_sees_itself_and_touches_the_table() {
                     }
                 }
             }
+        }
+    }
+}
+
+/// In its hollow a bowl mirrors itself, as a mirror and, where it has a diffuse ground, as both.
+#[test]
+fn a_bowl_that_mirrors_itself_more_than_once() {
+    let scene = scene();
+    let renderer = TruthRenderer::new(&scene, scene.object("bowl").unwrap()).unwrap();
+    let trace = TraceSettings { samples_per_pixel: 256, max_bounces: 3, seed: 9 };
+    let kinds = [1, 2, 4].map(|n| [Component::Mirror, Component::Full].map(|component| shown(component, Blend::Corrected, n)));
+    let mirrors: Vec<Mirrors> = kinds.iter().flatten().filter_map(|settings| settings.mirrors()).collect();
+    let truths: Vec<ViewTruth> = scene
+        .cameras
+        .iter()
+        .map(|c| {
+            let mut view = renderer.view(&c.camera, &[Truth::OneReflection], &trace, &Unattended).unwrap();
+            renderer.add_mirrors(&mut view, &c.camera, &mirrors, &trace, &Unattended).unwrap();
+            view
+        })
+        .collect();
+    let stored = captured(&scene, "bowl", 260, Some(0.06));
+    for (k, component) in [Component::Mirror, Component::Full].into_iter().enumerate() {
+        let once = kinds[0][k];
+        let one = found(&scene, &stored, &truths, &once, (&once, Truth::OneReflection))[0].error();
+        for settings in [kinds[1][k], kinds[2][k]] {
+            let truth = (&settings, Truth::SeveralReflections);
+            let several = found(&scene, &stored, &truths, &settings, truth)[0];
+            let instead = found(&scene, &stored, &truths, &once, truth)[0];
+            let reflections = settings.mirrors().unwrap().reflections;
+            println!("| {} | {reflections} | {:.4} | {:.4} | {one:.4} |", component.name(), several.error(), instead.error());
+            let what = format!("{} {reflections}: {several:?}, one instead {instead:?}, one of one {one}", component.name());
+            assert!(several.pixels > 300 && several.flagged() < 0.05, "{what}");
+            assert!(several.error() < 0.1 && several.error() < 0.5 * instead.error(), "{what}");
         }
     }
 }

@@ -1,4 +1,4 @@
-//! Path-traced images to compare with: of four kinds, and of any BRDF.
+//! Path-traced images to compare with: of four kinds, of any BRDF, clear body, and mirror that sees itself.
 
 use std::collections::BTreeMap;
 
@@ -10,7 +10,7 @@ use crate::images::Image;
 use crate::progress::{Cancelled, Progress};
 use crate::radiometry::brdf::BrdfModel;
 use crate::radiometry::dielectric::Dielectric;
-use crate::raytrace::{Appearance, TraceError, TraceSettings, Tracer};
+use crate::raytrace::{Appearance, Mirrors, TraceError, TraceSettings, Tracer, Under};
 use crate::representations::Settings;
 use crate::representations::offset_surface_light_field::GlossBrdf;
 use crate::scenes::{Relighting, Scene};
@@ -27,6 +27,8 @@ pub enum Truth {
     OneReflection,
     /// The object as a mirror that sees itself as a mirror.
     PhysicalMirror,
+    /// As many mirror reflections one after the other as are shown, over the diffuse scene.
+    SeveralReflections,
     /// One reflection by the BRDF that is shown, over the diffuse scene.
     OneGlossyReflection,
     /// One way through the clear body that is shown, and one reflection outside, over the diffuse scene.
@@ -41,6 +43,7 @@ impl Truth {
             Self::AsAuthored => "as_authored",
             Self::OneReflection => "one_reflection",
             Self::PhysicalMirror => "physical_mirror",
+            Self::SeveralReflections => "several_reflections",
             Self::OneGlossyReflection => "one_glossy_reflection",
             Self::OneRefraction => "one_refraction",
         }
@@ -51,9 +54,9 @@ impl Truth {
         match self {
             Self::Diffuse => Some(Appearance::Diffuse),
             Self::AsAuthored => Some(Appearance::AsAuthored),
-            Self::OneReflection => Some(Appearance::OneMirror { reflectance: Vec3::ONE }),
+            Self::OneReflection => Some(Appearance::Mirrors(Mirrors::one(Vec3::ONE))),
             Self::PhysicalMirror => Some(Appearance::PhysicalMirror { reflectance: Vec3::ONE }),
-            Self::OneGlossyReflection | Self::OneRefraction => None,
+            Self::SeveralReflections | Self::OneGlossyReflection | Self::OneRefraction => None,
         }
     }
 }
@@ -72,6 +75,7 @@ pub struct ViewTruth {
     images: BTreeMap<Truth, Image>,
     glossy: Vec<(GlossBrdf, Image)>,
     clear: Vec<(Dielectric, Image)>,
+    mirrors: Vec<(Mirrors, Image)>,
     /// Pixels that count: one fold of the object's front fills them and their eight neighbours.
     pub mask: Vec<bool>,
     object: Vec<bool>,
@@ -108,7 +112,7 @@ impl TruthRenderer {
                 images.insert(*truth, trace_object(&tracer, &object, &all.radiance, camera, trace, progress)?);
             }
         }
-        Ok(ViewTruth { images, glossy: Vec::new(), clear: Vec::new(), mask, object })
+        Ok(ViewTruth { images, glossy: Vec::new(), clear: Vec::new(), mirrors: Vec::new(), mask, object })
     }
 
     /// Adds to `view`, which `camera` sees, the truth of every BRDF in `brdfs` that it does not hold: one reflection by the BRDF, its diffuse
@@ -151,6 +155,25 @@ impl TruthRenderer {
         }
         Ok(())
     }
+
+    /// Adds to `view`, which `camera` sees, the truth of every mirror in `mirrors` that sees itself and that it does not hold.
+    pub fn add_mirrors(
+        &self,
+        view: &mut ViewTruth,
+        camera: &Camera,
+        mirrors: &[Mirrors],
+        trace: &TraceSettings,
+        progress: &dyn Progress,
+    ) -> Result<(), Cancelled> {
+        for mirrors in mirrors.iter().filter(|mirrors| mirrors.reflections > 1) {
+            if view.several(mirrors).is_none() {
+                let tracer = self.tracer.with_appearance(self.object, Appearance::Mirrors(*mirrors));
+                let image = trace_object(&tracer, &view.object, &view.images[&Truth::Diffuse], camera, trace, progress)?;
+                view.mirrors.push((*mirrors, image));
+            }
+        }
+        Ok(())
+    }
 }
 
 /// `around` with the pixels of the object traced.
@@ -180,7 +203,11 @@ impl ViewTruth {
         self.clear.iter().find(|(known, _)| known == dielectric).map(|(_, image)| image)
     }
 
-    /// What a frame with `settings` should look like: as the BRDF says where there is one (that was added), else the diffuse part, the reflected part times C_s, or their sum on the object;
+    fn several(&self, mirrors: &Mirrors) -> Option<&Image> {
+        self.mirrors.iter().find(|(known, _)| known == mirrors).map(|(_, image)| image)
+    }
+
+    /// What a frame with `settings` should look like: as the BRDF says where there is one (that was added), else the diffuse part, the reflected part (which is added for several reflections) times C_s, or their sum on the object;
     /// around the object always the diffuse scene. `truth` was among those wanted.
     pub fn reference(&self, settings: &Settings, truth: Truth) -> Image {
         if let Some(glossy) = settings.brdf().and_then(|brdf| self.glossy(brdf)) {
@@ -193,10 +220,13 @@ impl ViewTruth {
             return self.images[&truth].clone();
         }
         let mut image = self.images[&Truth::Diffuse].clone();
-        let Some((reflectance, keep_diffuse)) = settings.reflection() else { return image };
-        let mirror = &self.images[&truth];
+        let Some(mirrors) = settings.mirrors() else { return image };
+        let (mirror, reflectance) = match self.several(&mirrors).filter(|_| truth == Truth::SeveralReflections) {
+            Some(several) => (several, Vec3::ONE),
+            None => (&self.images[&truth], mirrors.reflectance),
+        };
         for i in (0..self.object.len()).filter(|i| self.object[*i]) {
-            let diffuse = if keep_diffuse { Vec3::from(image.rgb(i)) } else { Vec3::ZERO };
+            let diffuse = if mirrors.under == Under::Diffuse { Vec3::from(image.rgb(i)) } else { Vec3::ZERO };
             image.set_rgb(i, (diffuse + reflectance * Vec3::from(mirror.rgb(i))).to_array());
         }
         image

@@ -12,7 +12,7 @@ use thiserror::Error;
 use crate::geometry::Camera;
 use crate::progress::{Cancelled, Progress};
 use crate::radiometry::brdf::Measured;
-use crate::raytrace::{Appearance, Seen, TraceError, TraceSettings, Tracer};
+use crate::raytrace::{Appearance, Seen, TraceError, TraceSettings, Tracer, Under};
 use crate::representations::{Kind, Outputs, Pixels, Provenance, Settings};
 use crate::scenes::{Environment, Relighting, Scene};
 
@@ -137,7 +137,7 @@ impl TruthPasses {
     }
 }
 
-/// As `ViewTruth::reference` puts it together, mirrors being those of one reflection.
+/// As `ViewTruth::reference` puts it together, mirrors being those of as many reflections as the settings say.
 fn parts(pass: &TruthPass<'_>) -> Result<Parts, TruthError> {
     let settings = pass.settings;
     if settings.kind() == Kind::ParameterMap {
@@ -146,11 +146,13 @@ fn parts(pass: &TruthPass<'_>) -> Result<Parts, TruthError> {
     if let Some(dielectric) = settings.dielectric() {
         return Ok(Parts::Whole(Appearance::OneRefraction { dielectric }));
     }
-    Ok(match (settings.brdf(), settings.reflection()) {
+    Ok(match (settings.brdf(), settings.mirrors()) {
         (Some(brdf), _) => Parts::Whole(Appearance::OneGlossy { brdf: brdf.model(pass.table).ok_or(TruthError::NoTable)? }),
         (None, None) => Parts::Whole(Appearance::Diffuse),
-        (None, Some((reflectance, false))) => Parts::Whole(Appearance::OneMirror { reflectance }),
-        (None, Some((reflectance, true))) => Parts::Added(Appearance::OneMirror { reflectance }),
+        (None, Some(mirrors)) => match mirrors.under {
+            Under::Nothing => Parts::Whole(Appearance::Mirrors(mirrors)),
+            Under::Diffuse => Parts::Added(Appearance::Mirrors(mirrors)),
+        },
     })
 }
 
@@ -188,7 +190,7 @@ mod tests {
     fn of_light_field(component: oslf::Component) -> Settings {
         let (blend, specular_reflectance, filter) = (oslf::Blend::Average, Vec3::new(0.5, 0.25, 1.0), oslf::Filter::Footprint);
         let light = Relighting::NONE;
-        Settings::OffsetSurfaceLightField(oslf::Settings { component, blend, specular_reflectance, filter, light })
+        Settings::OffsetSurfaceLightField(oslf::Settings { component, blend, specular_reflectance, filter, light, reflections: 1 })
     }
 
     fn pass<'a>(settings: &'a Settings, pass: u32, paths_per_pixel: u32) -> TruthPass<'a> {

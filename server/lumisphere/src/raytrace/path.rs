@@ -17,6 +17,7 @@ use super::packets::{PacketStack, RAYS, RayPacket};
 use super::scattering::{Lobe, Scatterer, facing};
 use super::sky_cells::NormalBin;
 use super::surfaces::{Reflectance, SurfacePoint, SurfaceTriangle, TexelGrid, offset_along, rounding_at};
+use super::tracer::{Mirrors, Under};
 use super::traverse::{RawHit, Stack};
 use super::warp::power_heuristic;
 use crate::radiometry::brdf::BrdfModel;
@@ -46,7 +47,7 @@ pub(super) struct Look {
 /// What a camera ray sees of an object that all other rays see as its `reflectance`.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Once {
-    Mirror(Vec3),
+    Mirror(Mirrors),
     /// Index into `Look::brdfs`.
     Glossy(usize),
     Clear(Dielectric),
@@ -78,6 +79,16 @@ struct Path {
     bin: NormalBin,
     radiance: Vec3,
     random: SampleSequence,
+}
+
+/// What became of a path that comes from a camera.
+enum Turned {
+    /// Nothing more is to be seen.
+    Ends,
+    /// It is a path as others are.
+    GoesOn,
+    /// It may meet the mirror that turned it.
+    MayBeAgain,
 }
 
 /// Light on its way to a path, unless something is in between.
@@ -150,41 +161,67 @@ impl<'a> PathTracer<'a> {
         }
     }
 
-    /// The paths, which come from a camera, see objects that look otherwise `once`. The reflection costs no bounce.
+    /// The paths, which come from a camera, see objects that look otherwise `once`. What is reflected there costs no bounce.
     pub fn reflect_once(&mut self) {
         if self.look.once.iter().all(Option::is_none) {
             return;
         }
-        let live = std::mem::take(&mut self.live);
-        let mut next = Vec::with_capacity(live.len());
-        self.for_each_hit(&live, |tracer, index, hit| {
-            if tracer.reflect_first(index, hit) {
-                next.push(index);
-            }
-        });
+        let mut turned = std::mem::take(&mut self.live);
+        let mut next = Vec::with_capacity(turned.len());
+        let mut reflections = 0;
+        while !turned.is_empty() {
+            let mut again = Vec::new();
+            self.for_each_hit(&turned, |tracer, index, hit| match tracer.reflect_first(index, hit, reflections) {
+                Turned::Ends => {}
+                Turned::GoesOn => next.push(index),
+                Turned::MayBeAgain => again.push(index),
+            });
+            turned = again;
+            reflections += 1;
+        }
         self.live = next;
     }
 
-    /// Turns a path that comes from a camera at the object that it meets. Whether the path goes on.
-    fn reflect_first(&mut self, index: u32, hit: Option<RawHit>) -> bool {
-        let Some(point) = hit.map(|hit| SurfacePoint::new(&self.world.triangles, hit)) else { return true };
-        let look = self.look;
-        let Some(once) = look.once[point.triangle.object as usize] else { return true };
-        let path = &mut self.paths[index as usize];
-        let (geometric_normal, shading_normal) = facing(&point, -path.direction);
-        let lobe = match once {
-            Once::Clear(dielectric) => return self.pass_through(index, &point, shading_normal, &dielectric),
-            Once::Mirror(reflectance) => Lobe::Mirror(reflectance),
-            Once::Glossy(brdf) => Lobe::Glossy { brdf: &look.brdfs[brdf], tangent: point.triangle.tangent() },
+    /// Turns a path that comes from a camera, mirrored so often, at the object that it meets.
+    fn reflect_first(&mut self, index: u32, hit: Option<RawHit>, reflections: u32) -> Turned {
+        let Some(point) = hit.map(|hit| SurfacePoint::new(&self.world.triangles, hit)) else { return Turned::GoesOn };
+        let Some(once) = self.look.once[point.triangle.object as usize] else { return Turned::GoesOn };
+        let goes_on = match once {
+            Once::Mirror(mirrors) => return self.mirror(index, &point, &mirrors, reflections),
+            // In a mirror what looks otherwise once is as it looks to others.
+            _ if reflections > 0 => true,
+            Once::Clear(dielectric) => self.pass_through(index, &point, &dielectric),
+            Once::Glossy(brdf) => self.scatter_first(index, &point, brdf),
         };
-        let scatterer = Scatterer { geometric_normal, shading_normal, wo: -path.direction, lobe };
-        if let Once::Mirror(reflectance) = once {
-            path.direction = scatterer.mirrored();
-            path.origin = leave(&point, path.direction);
-            path.throughput = reflectance;
-            return true;
+        if goes_on { Turned::GoesOn } else { Turned::Ends }
+    }
+
+    /// Turns a path at a mirror, or, in reflections, lets it see what is under it.
+    fn mirror(&mut self, index: u32, point: &SurfacePoint<'a>, mirrors: &Mirrors, reflections: u32) -> Turned {
+        let path = &mut self.paths[index as usize];
+        if reflections > 0 && mirrors.under == Under::Diffuse {
+            // One of both, for both.
+            path.throughput *= 2.0;
+            if path.random.pair().x < 0.5 {
+                return Turned::GoesOn;
+            }
         }
-        let from = leave(&point, geometric_normal);
+        let (geometric_normal, shading_normal) = facing(point, -path.direction);
+        let scatterer = Scatterer { geometric_normal, shading_normal, wo: -path.direction, lobe: Lobe::Mirror(mirrors.reflectance) };
+        path.direction = scatterer.mirrored();
+        path.origin = leave(point, path.direction);
+        path.throughput *= mirrors.reflectance;
+        if reflections + 1 < mirrors.reflections { Turned::MayBeAgain } else { Turned::GoesOn }
+    }
+
+    /// Turns a path that comes from a camera at an object of that BRDF. Whether it goes on.
+    fn scatter_first(&mut self, index: u32, point: &SurfacePoint<'a>, brdf: usize) -> bool {
+        let look = self.look;
+        let path = &mut self.paths[index as usize];
+        let (geometric_normal, shading_normal) = facing(point, -path.direction);
+        let lobe = Lobe::Glossy { brdf: &look.brdfs[brdf], tangent: point.triangle.tangent() };
+        let scatterer = Scatterer { geometric_normal, shading_normal, wo: -path.direction, lobe };
+        let from = leave(point, geometric_normal);
         path.bin = scatterer.normal_bin();
         self.light(index, from, &scatterer, Strategy::LightAndReflection);
         let path = &mut self.paths[index as usize];
@@ -194,13 +231,13 @@ impl<'a> PathTracer<'a> {
     }
 
     /// Turns a path that comes from a camera at a clear body: it is reflected outside, or goes through. Whether it goes on.
-    fn pass_through(&mut self, index: u32, point: &SurfacePoint<'a>, normal: Vec3, dielectric: &Dielectric) -> bool {
+    fn pass_through(&mut self, index: u32, point: &SurfacePoint<'a>, dielectric: &Dielectric) -> bool {
         let world = self.world;
         let path = &mut self.paths[index as usize];
+        let (geometric_normal, normal) = facing(point, -path.direction);
         let reflected = dielectric.reflectance(-normal.dot(path.direction));
         if path.random.pair().x < reflected {
-            let (geometric_normal, lobe) = (facing(point, -path.direction).0, Lobe::Mirror(Vec3::ONE));
-            let scatterer = Scatterer { geometric_normal, shading_normal: normal, wo: -path.direction, lobe };
+            let scatterer = Scatterer { geometric_normal, shading_normal: normal, wo: -path.direction, lobe: Lobe::Mirror(Vec3::ONE) };
             path.direction = scatterer.mirrored();
             path.origin = leave(point, path.direction);
             return true;

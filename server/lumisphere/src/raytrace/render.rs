@@ -141,7 +141,7 @@ impl Tracer {
     }
 
     /// Radiance and distance seen from `position` in every direction: RGB is the mean over a texel, the distance that of its centre.
-    /// `face_size` texels an edge, at least 1. Objects that look `OneMirror` or `OneGlossy` are diffuse here.
+    /// `face_size` texels an edge, at least 1. Objects that look `Mirrors` or `OneGlossy` are diffuse here.
     pub fn cube_map(
         &self,
         position: Vec3,

@@ -27,13 +27,10 @@ pub enum Appearance {
     /// Lambertian: its own albedo; of a mirror or GGX material its reflectance, of a glossy one R_s + (1 − R_s) R_d, of another what it
     /// reflects of light along the normal.
     Diffuse,
-    /// A camera ray that hits the object sees `reflectance` × the radiance of one mirror reflection over the scene in which the
-    /// object is `Diffuse`: what an offset surface light field should converge to. The reflection costs no bounce, so the
-    /// reflected ray sees what a cube map with the same settings holds. Cube maps, irradiance and all other rays see `Diffuse`.
-    OneMirror {
-        /// In [0, 1] per channel.
-        reflectance: Vec3,
-    },
+    /// A camera ray that hits the object sees mirror reflections over the scene in which the object is `Diffuse`: what an offset surface
+    /// light field should converge to. They cost no bounce, so the last reflected ray sees what a cube map with the same settings holds. Cube
+    /// maps, irradiance and all other rays see `Diffuse`.
+    Mirrors(Mirrors),
     /// The same with any BRDF: ∫ f(wo, wi) L(wi) cos θ dωi over the scene in which the object is `Diffuse`, as the camera ray sees it.
     /// Its +X lies along the texture's u.
     OneGlossy {
@@ -56,6 +53,33 @@ pub enum Appearance {
         /// All of it.
         brdf: BrdfModel,
     },
+}
+
+/// How an object mirrors, itself too.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Mirrors {
+    /// In [0, 1] per channel, of each reflection.
+    pub reflectance: Vec3,
+    /// One after the other, at most; at least 1. The last one shows the object diffuse.
+    pub reflections: u32,
+    /// In those between.
+    pub under: Under,
+}
+
+/// What shows through an object's mirror.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Under {
+    /// It is nothing but a mirror.
+    Nothing,
+    /// The diffuse object: radiances are added.
+    Diffuse,
+}
+
+impl Mirrors {
+    /// A single reflection.
+    pub fn one(reflectance: Vec3) -> Self {
+        Self { reflectance, reflections: 1, under: Under::Nothing }
+    }
 }
 
 /// A scene ready for rays. Cheap to clone, free of locks; keeps nothing borrowed from the scene.
@@ -139,8 +163,8 @@ impl Tracer {
             look.reflectance[object] = match appearance {
                 Appearance::AsAuthored => authored,
                 Appearance::Diffuse => authored.diffuse(),
-                Appearance::OneMirror { reflectance } => {
-                    look.once[object] = Some(Once::Mirror(reflectance));
+                Appearance::Mirrors(mirrors) => {
+                    look.once[object] = Some(Once::Mirror(mirrors));
                     authored.diffuse()
                 }
                 Appearance::OneGlossy { brdf } => {

@@ -23,6 +23,7 @@ use crate::geometry::Camera;
 use crate::gpu::{Gpu, GpuCacheStats, GpuError};
 use crate::radiometry::brdf::Measured;
 use crate::radiometry::dielectric::Dielectric;
+use crate::raytrace::{Mirrors, Under};
 use crate::scenes::Relighting;
 use crate::textures::{ContentHash, PageId, StoreError};
 #[cfg(feature = "gpu")]
@@ -89,17 +90,21 @@ pub struct SettingName {
     /// `solid-1.5`, where a clear body is shown.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub body: Option<String>,
+    /// Mirror reflections one after the other; None for one, or without a mirror.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub reflections: Option<u32>,
     /// `integrate-first`; None where it is the default or there are no directions.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub order: Option<&'static str>,
 }
 
 impl SettingName {
-    /// Joined by hyphens, for file names; filter, light and order only where they are not the default ones.
+    /// Joined by hyphens, for file names; filter, reflections, light and order only where they are not the default ones.
     pub fn slug(&self) -> String {
         let exponent = self.exponent.map(|n| n.to_string());
         let filter = (self.filter != oslf::Filter::default().name()).then_some(self.filter);
-        [Some(self.component), self.blend, exponent.as_deref(), filter, self.light.as_deref(), self.order]
+        let reflections = self.reflections.map(|n| format!("reflections-{n}"));
+        [Some(self.component), self.blend, exponent.as_deref(), filter, reflections.as_deref(), self.light.as_deref(), self.order]
             .into_iter()
             .flatten()
             .collect::<Vec<_>>()
@@ -134,6 +139,7 @@ impl Settings {
                         _ => None,
                     },
                     body: self.dielectric().map(|dielectric| dielectric.name()),
+                    reflections: s.sees_itself().then_some(s.reflections),
                     order: s.order().filter(|order| *order != oslf::Order::BlendFirst).map(oslf::Order::name),
                 }
             }
@@ -145,6 +151,7 @@ impl Settings {
                 light: None,
                 directions: None,
                 body: None,
+                reflections: None,
                 order: None,
             },
         }
@@ -205,15 +212,17 @@ impl Settings {
         }
     }
 
-    /// Reflectance of the reflected part, and whether the diffuse part is shown too; None where nothing is reflected.
-    pub fn reflection(&self) -> Option<(glam::Vec3, bool)> {
+    /// How the object mirrors; None where it does not.
+    pub fn mirrors(&self) -> Option<Mirrors> {
         match self {
-            Self::OffsetSurfaceLightField(s) => match s.component {
-                oslf::Component::Reconstruction => None,
-                oslf::Component::Mirror => Some((s.specular_reflectance, false)),
-                oslf::Component::Full => Some((s.specular_reflectance, true)),
-                oslf::Component::Glossy(_) | oslf::Component::Refraction(_) => None,
-            },
+            Self::OffsetSurfaceLightField(s) => {
+                let under = match s.component {
+                    oslf::Component::Mirror => Under::Nothing,
+                    oslf::Component::Full => Under::Diffuse,
+                    oslf::Component::Reconstruction | oslf::Component::Glossy(_) | oslf::Component::Refraction(_) => return None,
+                };
+                Some(Mirrors { reflectance: s.specular_reflectance, reflections: s.reflections, under })
+            }
             Self::ParameterMap(_) => None,
         }
     }

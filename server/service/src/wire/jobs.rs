@@ -489,6 +489,9 @@ fn thin(m: proto::ThinSpec, field: &str) -> Result<ThinSpec, ApiError> {
     if settings.settings.dielectric().is_some() {
         return Err(ApiError::field(at("settings.component"), "REFRACTION, another component expected"));
     }
+    if let Some(mirrors) = settings.settings.mirrors().filter(|mirrors| mirrors.reflections > 1) {
+        return Err(ApiError::field(at("settings.reflections"), format!("{}, 1 expected", mirrors.reflections)));
+    }
     if settings.settings.light().changes_light() {
         return Err(ApiError::field(at("settings.relighting"), "other light than was captured, none expected"));
     }

@@ -219,7 +219,8 @@ fn oslf_settings(message: proto::OffsetSurfaceLightFieldSettings, field: &str) -
     }
     let filter = filter(message.filter, &format!("{field}.filter"))?;
     let light = message.relighting.map_or(Ok(Relighting::NONE), |m| relighting(m, &format!("{field}.relighting")))?;
-    Ok(oslf::Settings { component, blend, specular_reflectance, filter, light })
+    let reflections = count(message.reflections, 1, 1, oslf::MOST_REFLECTIONS, &format!("{field}.reflections"))?;
+    Ok(oslf::Settings { component, blend, specular_reflectance, filter, light, reflections })
 }
 
 fn relighting(message: proto::offset_surface_light_field_settings::Relighting, field: &str) -> Result<Relighting, ApiError> {
@@ -443,6 +444,7 @@ mod tests {
             filter: 0,
             gloss: None,
             relighting: None,
+            reflections: 0,
             refraction: None,
         }
     }
@@ -493,6 +495,9 @@ mod tests {
             ..message(2, 4)
         };
         assert!(oslf_settings(bright, "s").unwrap_err().to_string().starts_with("s.specular_reflectance.y: 1.5"));
+        let with = |reflections| oslf_settings(proto::OffsetSurfaceLightFieldSettings { reflections, ..message(2, 5) }, "s");
+        assert_eq!([0, 1, 4].map(|n| with(n).unwrap().reflections), [1, 1, 4]);
+        assert!(with(5).unwrap_err().to_string().starts_with("s.reflections: 5, 1 to 4 expected"));
     }
 
     #[test]

@@ -6,7 +6,7 @@ use glam::Vec3;
 
 use super::*;
 use crate::radiometry::dielectric::{Body, Dielectric};
-use crate::raytrace::Appearance;
+use crate::raytrace::{Appearance, Mirrors, Under};
 use crate::scenes::{Environment, PointLight};
 
 /// Floor and back wall as one object, a point light, no sky: with one bounce every radiance is exact.
@@ -39,10 +39,33 @@ fn one_mirror_sees_the_object_itself_diffuse() {
     let close = |measured: f32, expected: f32| assert!((measured / expected - 1.0).abs() < 1e-3, "{measured}, {expected} expected");
     let reflectance = Vec3::splat(0.9);
     close(seen(Appearance::Diffuse), lit(Vec3::ZERO, Vec3::Y));
-    close(seen(Appearance::OneMirror { reflectance }), 0.9 * lit(Vec3::new(0.0, 1.0, -1.0), Vec3::Z));
+    close(seen(Appearance::Mirrors(Mirrors::one(reflectance))), 0.9 * lit(Vec3::new(0.0, 1.0, -1.0), Vec3::Z));
     // A physical mirror shows a mirror, and there nothing but the black sky.
     assert_eq!(seen(Appearance::PhysicalMirror { reflectance }), 0.0);
     close(seen(Appearance::AsAuthored), lit(Vec3::ZERO, Vec3::Y));
+}
+
+#[test]
+fn further_mirrors_see_the_object_as_a_mirror_with_or_without_what_is_under_it() {
+    let (tracer, camera) = corner();
+    let reflectance = Vec3::splat(0.9);
+    let seen = |reflections, under| {
+        let mirrors = Mirrors { reflectance, reflections, under };
+        render(&tracer.with_appearance(0, Appearance::Mirrors(mirrors)), &camera, &settings(4096, 1)).radiance.planes[0][0]
+    };
+    let once = 0.9 * lit(Vec3::new(0.0, 1.0, -1.0), Vec3::Z);
+    for under in [Under::Nothing, Under::Diffuse] {
+        assert!((seen(1, under) / once - 1.0).abs() < 1e-3);
+    }
+    // From the wall on there is nothing but the black sky. Whether a path sees what is under it is drawn: 1/64 of noise.
+    assert_eq!(seen(2, Under::Nothing), 0.0);
+    assert!((seen(2, Under::Diffuse) / once - 1.0).abs() < 0.05);
+    // A plane does not see itself.
+    let mut scene = scene(vec![(floor(2.0, 0.0), diffuse(0.0), None)], Vec3::ZERO);
+    scene.environment = Environment::Constant(Vec3::ONE);
+    let many = Appearance::Mirrors(Mirrors { reflectance, reflections: 4, under: Under::Diffuse });
+    let open = render(&Tracer::new(&scene).unwrap().with_appearance(0, many), &camera, &settings(4, 1)).radiance.planes[0][0];
+    assert!((open - 0.9).abs() < 1e-6, "{open}");
 }
 
 fn clear_ball(sky: Environment) -> Tracer {
@@ -103,7 +126,7 @@ fn a_mirror_reflects_the_sky_of_the_mirrored_direction() {
 fn cube_maps_and_irradiance_never_see_the_one_mirror() {
     let (tracer, _) = corner();
     let diffuse = tracer.with_appearance(0, Appearance::Diffuse);
-    let mirror = tracer.with_appearance(0, Appearance::OneMirror { reflectance: Vec3::ONE });
+    let mirror = tracer.with_appearance(0, Appearance::Mirrors(Mirrors::one(Vec3::ONE)));
     let at = Vec3::new(0.2, 0.5, 0.1);
     let cube = |t: &Tracer| t.cube_map(at, 8, &settings(4, 2), &Unattended).unwrap();
     assert_eq!(cube(&diffuse), cube(&mirror));

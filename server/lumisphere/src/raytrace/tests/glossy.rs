@@ -8,7 +8,7 @@ use super::*;
 use crate::radiometry::brdf::{
     AshikhminShirley, Brdf, BrdfModel, CookTorrance, Lafortune, LafortuneLobe, MEASURED_SHAPE, Measured, Phong, Ward, directional_albedo,
 };
-use crate::raytrace::Appearance;
+use crate::raytrace::{Appearance, Mirrors};
 
 // z-tests at 4.5 standard deviations: one false alarm in 150 000 seeds, and the seeds are fixed.
 const Z: f64 = 4.5;
@@ -175,7 +175,7 @@ fn the_smoothest_brdf_is_the_mirror() {
         let seen = |appearance| {
             mean_and_deviation(&render(&tracer.with_appearance(0, appearance), &narrow_view(wo.normalize()), &settings(64, 2)))
         };
-        let (mirror, deviation) = seen(Appearance::OneMirror { reflectance });
+        let (mirror, deviation) = seen(Appearance::Mirrors(Mirrors::one(reflectance)));
         let (glossy, other_deviation) = seen(Appearance::OneGlossy { brdf: smooth.into() });
         // A lobe of 10⁻⁴ moves what is seen by as much of a sky that doubles within a radian.
         let allowed = Z * deviation.hypot(other_deviation) + 1e-3 * mirror;

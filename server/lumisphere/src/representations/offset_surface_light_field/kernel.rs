@@ -14,7 +14,7 @@ use rayon::prelude::*;
 
 use super::coarse::{Coarse, with_levels};
 use super::relight::LightTables;
-use super::{Blend, Component, Filter, Gloss, GlossBrdf, OffsetSurfaceLightField, Settings};
+use super::{Blend, Component, Filter, Gloss, GlossBrdf, MOST_REFLECTIONS, OffsetSurfaceLightField, Settings};
 use crate::directions::FACES;
 use crate::gpu::{Atlas, AtlasShape, Gpu, GpuCacheStats, GpuError, ReadBack, Shader, binding, storage_buffer, value_buffer};
 use crate::radiometry::brdf::{BrdfUniform, Measured};
@@ -40,6 +40,8 @@ pub(crate) const SOURCE: &str = concat!(
     include_str!("kernel.wgsl"),
     include_str!("corrected.wgsl"),
     include_str!("relight.wgsl"),
+    include_str!("object_tree.wgsl"),
+    include_str!("reflections.wgsl"),
     include_str!("refraction.wgsl"),
     include_str!("../../geometry/tangent_frame.wgsl"),
     include_str!("../../radiometry/brdf/brdf.wgsl"),
@@ -67,7 +69,7 @@ pub(crate) struct ShadingUniform {
     pub first_direction: u32,
     pub refraction_index: f32,
     pub first_packet: u32,
-    pub padding: u32,
+    pub reflections: u32,
 }
 
 /// Layout as WGSL's `LightInfo`.
@@ -97,8 +99,9 @@ pub(crate) struct PointLightUniform {
 const BLOCK_ROWS: u32 = 16;
 const MOST_BLOCKS: u32 = 32;
 
-// All faces of the cube maps of eight sample points: four where light enters a clear body, four where it leaves.
-const PAGES_OF_A_PIXEL: usize = 8 * FACES;
+// All faces of the cube maps of four sample points each time that a mirror is met: twice as many as where light enters a clear body and
+// leaves it.
+const PAGES_OF_A_PIXEL: usize = 4 * MOST_REFLECTIONS as usize * FACES;
 
 /// One dataset on the device.
 pub(crate) struct Kernel {
@@ -134,8 +137,9 @@ pub(crate) struct Kernel {
     earlier: GpuCacheStats,
 }
 
-// Component, blend, BRDF and order, textures of the atlas, whether reads are filtered, whether coarse levels stand in, how light is another.
-type PipelineKey = (u32, u32, (u32, bool), usize, bool, bool, (bool, bool));
+// Component and whether it sees itself, blend, BRDF and order, textures of the atlas, whether reads are filtered, whether coarse levels stand
+// in, how light is another.
+type PipelineKey = ((u32, bool), u32, (u32, bool), usize, bool, bool, (bool, bool));
 
 struct BoundAtlas {
     atlas: Atlas,
@@ -353,7 +357,7 @@ impl Kernel {
         let filtered = settings.filter == Filter::Footprint;
         let brdf = gloss(settings.component).map_or((0, false), |gloss| (brdf_number(gloss.brdf), gloss.integrates_first(settings.blend)));
         let key = (
-            component_number(settings.component),
+            (component_number(settings.component), settings.sees_itself()),
             blend_number(settings),
             brdf,
             textures,
@@ -362,7 +366,8 @@ impl Kernel {
             (settings.light.turns(), settings.light.changes_light()),
         );
         let constants = [
-            ("COMPONENT", f64::from(key.0)),
+            ("COMPONENT", f64::from(key.0.0)),
+            ("SEES_ITSELF", f64::from(u8::from(key.0.1))),
             ("BLEND", f64::from(key.1)),
             ("BRDF_MODEL", f64::from(key.2.0)),
             ("INTEGRATES_FIRST", f64::from(u8::from(key.2.1))),

@@ -28,6 +28,8 @@ struct Shading {
     // Of SOLID and THIN: of the body, and where its tree's packets begin.
     refraction_index: f32,
     first_packet: u32,
+    // In `mirror`, at most.
+    reflections: u32,
 }
 
 @group(1) @binding(0) var<storage, read> object_triangles: array<u32>;
@@ -43,6 +45,8 @@ struct Shading {
 // Component and Blend, as kernel.rs numbers them.
 override COMPONENT: u32 = 0u;
 override BLEND: u32 = 0u;
+// Whether MIRROR and FULL reflect more than once.
+override SEES_ITSELF: bool = false;
 // Whether reads are over what a pixel covers.
 override FILTERED: bool = true;
 // Whether coarse levels stand in for pages that are not resident.
@@ -414,6 +418,9 @@ fn blend_weights(
 }
 
 fn mirror(at: Sight, across: Sight, down: Sight, candidates: vec4<u32>) -> Shaded {
+    if SEES_ITSELF {
+        return reflections(at, across, down, candidates);
+    }
     return radiance_toward(at, across, down, mirrored(at, across, down), candidates);
 }
 
@@ -459,6 +466,11 @@ fn radiance_toward(at: Sight, across: Sight, down: Sight, r: DirectionDifferenti
 
 fn worse(own: u32, reflected: u32) -> u32 {
     return select(own, reflected, (reflected >> 30u) > (own >> 30u));
+}
+
+fn neighbour_sight(at: Sight, by: Sight) -> Sight {
+    let normal = normalize_or(at.normal + by.normal, at.normal);
+    return Sight(at.position + by.position, normal, normalize_or(at.direction + by.direction, at.direction));
 }
 
 fn scaled(surface: SurfaceDifferential, direction: vec3<f32>) -> Sight {

@@ -6,13 +6,14 @@
 //! - mirror: `r = 2 n (n·v) − v`, `ŝⱼ = normalize(pⱼ − x)`, `L(x, v) = Σⱼ βⱼ Lᵢ(pⱼ; r)`, `Σⱼ βⱼ = 1`, βⱼ by [`Blend`];
 //! - mirror, depth-corrected: `Σⱼ βⱼ Lᵢ(pⱼ; x + t·r − pⱼ)`, t where the ray meets a surface by the stored distances (`corrected.rs`);
 //! - full: `reconstruction + C_s · mirror`;
+//! - mirror and full with several reflections: the object as it sees itself (`reflections.rs`);
 //! - glossy: `∫ f_r(v, l) Σⱼ βⱼ Lᵢ(pⱼ; l) (n·l) dl` by Monte Carlo, for any BRDF, in either order (`gloss.rs`);
 //! - as a clear body: the mirror's radiance and that toward which a ray leaves the body, weighted by Fresnel's equations (`refraction.rs`);
 //! - in other light: the environment turned, point lights added (`relight.rs`);
 //! - baseline: one environment map at the object's centre, taken without the object, read with r.
 //!
 //! Where it fails: near the horizon (85° when built, 65° when read), at high curvature, where something stands between p and x
-//! (free-space violation, shrinks with ε), along sample-map texels, by the cube maps' resolution; one self-reflection a pass.
+//! (free-space violation, shrinks with ε), along sample-map texels, by the cube maps' resolution.
 //!
 //! Source: the methods page "Offset surface light field" and the paper behind it.
 
@@ -23,7 +24,9 @@ mod corrected;
 mod gloss;
 #[cfg(feature = "gpu")]
 mod kernel;
+mod object_tree;
 mod reference;
+mod reflections;
 mod refraction;
 mod relight;
 mod requests;
@@ -67,6 +70,8 @@ pub const RUNTIME_HORIZON_DEG: f32 = 65.0;
 const FOOTPRINT_WIDTH: f32 = 0.75;
 /// Most directions of [`Gloss`].
 pub const MOST_DIRECTIONS: u32 = 4096;
+/// Most of a mirror that sees itself: of more the last is seldom more than a few pixels.
+pub const MOST_REFLECTIONS: u32 = 4;
 /// Most passes of a still: of most directions, a million a pixel.
 pub const MOST_PASSES: u32 = 256;
 /// Most of a frame, over all its pixels: 1920 × 1080 of 64 each; on a rasteriser in software that is a minute.
@@ -299,9 +304,22 @@ pub struct Settings {
     pub filter: Filter,
     /// In which light.
     pub light: Relighting,
+    /// Mirror reflections one after the other in `Mirror` and `Full`, 1 to [`MOST_REFLECTIONS`]: where the ray meets the object again, that is
+    /// a mirror, too, but for the last. 1 is the paper's.
+    pub reflections: u32,
 }
 
 impl Settings {
+    /// Whether what is mirrored may be a mirror itself.
+    pub fn sees_itself(&self) -> bool {
+        self.reflections > 1 && matches!(self.component, Component::Mirror | Component::Full)
+    }
+
+    /// Whether rays are followed through the object's triangles.
+    fn needs_tree(&self) -> bool {
+        self.sees_itself() || matches!(self.component, Component::Refraction(_))
+    }
+
     /// In which order light is blended and summed, where it is summed over directions.
     pub fn order(&self) -> Option<Order> {
         match self.component {

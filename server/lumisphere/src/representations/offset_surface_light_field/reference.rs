@@ -6,11 +6,11 @@ use std::sync::{Arc, OnceLock};
 use glam::Vec3;
 
 use super::corrected::InverseDistances;
-use super::refraction::ObjectTree;
+use super::object_tree::ObjectTree;
 use super::relight::{LightTables, Lit};
 use super::requests::record_requests;
 use super::shade::{ReadCube, shade_object};
-use super::{Component, OffsetSurfaceLightField, Settings};
+use super::{OffsetSurfaceLightField, Settings};
 use crate::directions::{Footprint, Texel, bilinear_footprint};
 use crate::geometry::Camera;
 use crate::radiometry::brdf::Measured;
@@ -39,7 +39,7 @@ impl Reference {
     /// What frames with these settings read beside cube maps.
     pub fn asides(&self, settings: &Settings, table: Option<&Arc<Measured>>, pages: &CountingSource<'_>) -> Result<Asides, RenderError> {
         let make_tree = || Arc::new(ObjectTree::new(self.geometry.clone()));
-        let tree = matches!(settings.component, Component::Refraction(_)).then(|| self.tree.get_or_init(make_tree).clone());
+        let tree = settings.needs_tree().then(|| self.tree.get_or_init(make_tree).clone());
         Ok(Asides { lit: self.light.lit(&self.field, settings, pages)?, tree, table: table.cloned() })
     }
 

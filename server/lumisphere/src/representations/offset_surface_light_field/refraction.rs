@@ -11,32 +11,22 @@
 //! environment map at the object's centre is read, and the pixel is filled.
 //! Light that is partly reflected inside is left out, and a body is clear: nothing else is seen in it.
 
-use std::sync::Arc;
-
 use glam::{Vec2, Vec3};
 
-use super::shade::{NOTHING, ReadCube, SINGLE, Shaded, Sight, mirrored, radiance_toward, worse};
+use super::object_tree::ObjectTree;
+use super::shade::{NOTHING, ReadCube, SINGLE, Shaded, Sight, mirrored, neighbour, radiance_toward, worse};
 use super::{Filter, OffsetSurfaceLightField, Settings};
 use crate::directions::DirectionDifferential;
 use crate::radiometry::dielectric::{BodyPoint, Dielectric, Passage, outward};
-use crate::raytrace::{Bvh, Stack};
 use crate::representations::RenderError;
-use crate::representations::g_buffer::ProxyGeometry;
 use crate::representations::provenance::{Answer, Provenance};
 
 /// Farther apart than this many radians two neighbours' ways are not of one fold.
 const MOST_APART: f32 = 1.0;
 
-/// The object's triangles, for rays inside it.
-#[derive(Debug)]
-pub(super) struct ObjectTree {
-    geometry: Arc<ProxyGeometry>,
-    pub bvh: Bvh,
-}
-
-/// Where a ray meets the object's surface from inside.
+/// Where a ray inside the object meets its surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct InnerPoint {
+struct InnerPoint {
     body: BodyPoint,
     uv: Vec2,
     part: u32,
@@ -48,33 +38,15 @@ impl AsRef<BodyPoint> for InnerPoint {
     }
 }
 
-impl ObjectTree {
-    pub fn new(geometry: Arc<ProxyGeometry>) -> Self {
-        let corners = |t: &[u32; 3]| t.map(|v| Vec3::from(geometry.object_vertices[v as usize].position));
-        let triangles: Vec<[Vec3; 3]> = geometry.object_triangles.iter().map(corners).collect();
-        Self { bvh: Bvh::build(&triangles), geometry }
-    }
+fn next_inside(tree: &ObjectTree, from: &BodyPoint, direction: Vec3) -> Option<InnerPoint> {
+    let point = tree.next(from.position, from.normal, direction)?;
+    let body = BodyPoint { position: point.position, normal: outward(point.shading, point.geometric, direction) };
+    Some(InnerPoint { body, uv: point.uv, part: point.part })
+}
 
-    /// The next surface along a ray from a point of it.
-    fn next(&self, from: &BodyPoint, direction: Vec3) -> Option<InnerPoint> {
-        let origin = from.position + self.geometry.near.copysign(from.normal.dot(direction)) * from.normal;
-        let hit = self.bvh.nearest(origin, direction, f32::INFINITY, &mut Stack::new())?;
-        let corners = self.geometry.object_triangles[hit.triangle as usize].map(|v| self.geometry.object_vertices[v as usize]);
-        let weights = [1.0 - hit.u - hit.v, hit.u, hit.v];
-        let [a, b, c] = corners.map(|corner| Vec3::from(corner.position));
-        let normal: Vec3 = (0..3).map(|k| weights[k] * Vec3::from(corners[k].normal)).sum();
-        let geometric = (b - a).cross(c - a).normalize_or(-direction);
-        let body = BodyPoint {
-            position: origin + hit.distance * direction,
-            normal: outward(normal.normalize_or(geometric), geometric, direction),
-        };
-        Some(InnerPoint { body, uv: (0..3).map(|k| weights[k] * Vec2::from(corners[k].uv)).sum(), part: corners[0].part })
-    }
-
-    fn passage(&self, dielectric: &Dielectric, at: &Sight) -> Option<Passage<InnerPoint>> {
-        let entry = BodyPoint { position: at.position, normal: at.normal };
-        dielectric.passage(&entry, at.direction, |from, direction| self.next(from, direction))
-    }
+fn passage(tree: &ObjectTree, dielectric: &Dielectric, at: &Sight) -> Option<Passage<InnerPoint>> {
+    let entry = BodyPoint { position: at.position, normal: at.normal };
+    dielectric.passage(&entry, at.direction, |from, direction| next_inside(tree, from, direction))
 }
 
 /// Radiance of the object as a clear body.
@@ -91,17 +63,17 @@ pub(super) fn refraction(
     let white = Settings { specular_reflectance: Vec3::ONE, ..*settings };
     let outside = radiance_toward(field, &white, at, by, &mirrored(at, by), candidates, cubes)?;
     let reflected = dielectric.reflectance(-at.normal.dot(at.direction)) * outside.radiance;
-    let Some(passage) = tree.passage(dielectric, at) else {
+    let Some(way) = passage(&tree, dielectric, at) else {
         return Ok(Shaded { radiance: reflected, provenance: Provenance::UNKNOWN });
     };
     let ways = by.map(|by| match settings.filter {
         Filter::Bilinear => (Vec3::ZERO, Vec3::ZERO),
-        Filter::Footprint => apart(&passage, tree.passage(dielectric, &neighbour(at, &by)), &by),
+        Filter::Footprint => apart(&way, passage(&tree, dielectric, &neighbour(at, &by)), &by),
     });
-    let look = DirectionDifferential { direction: passage.direction, across: ways[0].1, down: ways[1].1 };
-    let beyond = match passage.exit {
+    let look = DirectionDifferential { direction: way.direction, across: ways[0].1, down: ways[1].1 };
+    let beyond = match way.exit {
         Some(exit) => {
-            let at = Sight { position: exit.body.position, normal: exit.body.normal, direction: passage.direction };
+            let at = Sight { position: exit.body.position, normal: exit.body.normal, direction: way.direction };
             let by = ways.map(|(position, _)| Sight { position, ..SINGLE });
             radiance_toward(field, &white, &at, &by, &look, field.sample_maps.at(exit.part, exit.uv.x, exit.uv.y), cubes)?
         }
@@ -110,14 +82,8 @@ pub(super) fn refraction(
             Shaded { radiance: cubes.read_cube(baseline, &look)?, provenance: Provenance::new(Answer::Filled, baseline) }
         }
     };
-    let radiance = reflected + passage.transmittance * beyond.radiance;
+    let radiance = reflected + way.transmittance * beyond.radiance;
     Ok(Shaded { radiance, provenance: worse(outside.provenance, beyond.provenance) })
-}
-
-/// What the camera sees one pixel on, in the tangent plane.
-fn neighbour(at: &Sight, by: &Sight) -> Sight {
-    let normal = (at.normal + by.normal).normalize_or(at.normal);
-    Sight { position: at.position + by.position, normal, direction: (at.direction + by.direction).normalize_or(at.direction) }
 }
 
 /// By how much two ways differ where they leave: position and direction. Where the other is of another fold, what the eye's rays do.

@@ -5,7 +5,7 @@ use glam::{Vec2, Vec3};
 
 use super::corrected::InverseDistances;
 use super::shade::{ReadCube, SINGLE, mirror_direction, radiance_toward, shade_object, sight};
-use super::{Component, OffsetSurfaceLightField, Settings};
+use super::{OffsetSurfaceLightField, Settings};
 use crate::directions::{DirectionDifferential, bilinear_footprint};
 use crate::geometry::Camera;
 use crate::raytrace::{SampleSequence, Stack};
@@ -23,7 +23,7 @@ pub(super) fn record_requests(
     let AnySettings::OffsetSurfaceLightField(settings) = recording.settings else {
         return Err(RenderError::OtherKind { settings: recording.settings.kind() });
     };
-    if settings.light.changes_light() || matches!(settings.component, Component::Refraction(_)) {
+    if settings.light.changes_light() || settings.needs_tree() {
         return Err(RenderError::ReadsMore);
     }
     let camera = recording.camera;

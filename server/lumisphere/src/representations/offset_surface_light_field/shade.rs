@@ -10,7 +10,9 @@ use glam::Vec3;
 
 use super::corrected::{InverseDistances, corrected, sees};
 use super::gloss::glossy;
-use super::refraction::{ObjectTree, refraction};
+use super::object_tree::ObjectTree;
+use super::reflections::reflections;
+use super::refraction::refraction;
 use super::relight::{Lit, relit};
 use super::{Blend, Component, Filter, NO_SAMPLE, OffsetSurfaceLightField, RUNTIME_HORIZON_DEG, Settings};
 use crate::directions::{DirectionDifferential, PyramidLevel};
@@ -33,7 +35,7 @@ pub(super) trait ReadCube {
         None
     }
 
-    /// The object's triangles, where rays inside it are followed.
+    /// The object's triangles, where rays meet it once more.
     fn tree(&self) -> Option<Arc<ObjectTree>> {
         None
     }
@@ -230,9 +232,15 @@ pub(super) fn short_of_the_horizon(derivative: Vec3, cosine: f32) -> Vec3 {
     if length > most { derivative * (most / length) } else { derivative }
 }
 
+/// What the camera sees one pixel on, in the tangent plane.
+pub(super) fn neighbour(at: &Sight, by: &Sight) -> Sight {
+    let normal = (at.normal + by.normal).normalize_or(at.normal);
+    Sight { position: at.position + by.position, normal, direction: (at.direction + by.direction).normalize_or(at.direction) }
+}
+
 pub(super) const NOTHING: Shaded = Shaded { radiance: Vec3::ZERO, provenance: Provenance::UNKNOWN };
 
-/// The mirror's radiance: `C_s Σⱼ βⱼ Lᵢ(pⱼ; r)`.
+/// What the mirror shows, one reflection or several of them: `C_s Σⱼ βⱼ Lᵢ(pⱼ; r)` is one.
 pub(super) fn mirror(
     field: &OffsetSurfaceLightField,
     settings: &Settings,
@@ -241,10 +249,13 @@ pub(super) fn mirror(
     candidates: [u16; 4],
     cubes: &mut dyn ReadCube,
 ) -> Result<Shaded, RenderError> {
+    if settings.sees_itself() {
+        return reflections(field, settings, at, by, candidates, cubes);
+    }
     radiance_toward(field, settings, at, by, &mirrored(at, by), candidates, cubes)
 }
 
-/// The same for any direction `r` (unit) in the mirror direction's place: `C_s Σⱼ βⱼ Lᵢ(pⱼ; r)`.
+/// `C_s Σⱼ βⱼ Lᵢ(pⱼ; r)` for any direction `r` (unit).
 pub(super) fn radiance_toward(
     field: &OffsetSurfaceLightField,
     settings: &Settings,

@@ -9,6 +9,7 @@ mod gpu_equals_cpu;
 #[cfg(feature = "gpu")]
 mod paging;
 mod recording;
+mod reflections;
 mod refraction;
 mod relight;
 mod stability;
@@ -45,16 +46,37 @@ pub(crate) const BLENDS: [Blend; 10] = [
 ];
 
 pub(crate) fn settings(component: Component, blend: Blend) -> Settings {
-    Settings { component, blend, specular_reflectance: Vec3::new(1.0, 0.5, 0.25), filter: Filter::Bilinear, light: Relighting::NONE }
+    Settings {
+        component,
+        blend,
+        specular_reflectance: Vec3::new(1.0, 0.5, 0.25),
+        filter: Filter::Bilinear,
+        light: Relighting::NONE,
+        reflections: 1,
+    }
 }
 
 fn mirror(blend: Blend) -> Settings {
-    Settings { component: Component::Mirror, blend, specular_reflectance: Vec3::ONE, filter: Filter::Bilinear, light: Relighting::NONE }
+    Settings {
+        component: Component::Mirror,
+        blend,
+        specular_reflectance: Vec3::ONE,
+        filter: Filter::Bilinear,
+        light: Relighting::NONE,
+        reflections: 1,
+    }
 }
 
 fn reconstruction() -> Settings {
     let component = Component::Reconstruction;
-    Settings { component, blend: Blend::Distance, specular_reflectance: Vec3::ONE, filter: Filter::Bilinear, light: Relighting::NONE }
+    Settings {
+        component,
+        blend: Blend::Distance,
+        specular_reflectance: Vec3::ONE,
+        filter: Filter::Bilinear,
+        light: Relighting::NONE,
+        reflections: 1,
+    }
 }
 
 fn frame_of(field: OffsetSurfaceLightField, pages: &MemoryPages, camera: &Camera, settings: Settings) -> Result<Frame, RenderError> {

@@ -5,8 +5,8 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
+use super::super::Settings;
 use super::super::coarse::with_levels_of_a_face;
-use super::super::{Component, Settings};
 use super::frame::{Fidelity, MOST_DIRECTIONS_AT_ONCE, new_encoder};
 use super::{Kernel, gloss};
 use crate::geometry::{Camera, Intrinsics};
@@ -23,7 +23,7 @@ impl Kernel {
         let AnySettings::OffsetSurfaceLightField(settings) = request.settings else {
             return Err(RenderError::OtherKind { settings: request.settings.kind() });
         };
-        let has_tree = !matches!(settings.component, Component::Refraction(_)) || self.tree.is_made();
+        let has_tree = !settings.needs_tree() || self.tree.is_made();
         if self.atlas.is_none() || !has_tree || !self.is_light_made(settings) || !self.is_table_there(settings) {
             return Ok(Vec::new());
         }

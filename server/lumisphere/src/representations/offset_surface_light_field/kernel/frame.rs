@@ -222,7 +222,7 @@ impl Kernel {
             first_direction: gloss.map_or(0, |gloss| gloss.first_direction()),
             refraction_index: refraction.map_or(1.0, |dielectric| dielectric.index()),
             first_packet: self.tree.first_packet(),
-            padding: 0,
+            reflections: settings.reflections,
         };
         self.gpu.queue().write_buffer(&self.shading, 0, bytemuck::bytes_of(&uniform));
         let (band, atlas) = (self.band.as_ref().expect("made before"), self.atlas.as_ref().expect("made before"));

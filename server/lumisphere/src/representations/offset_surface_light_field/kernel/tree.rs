@@ -1,9 +1,9 @@
-//! The object's tree on the device, for clear bodies: made when the first frame of one is drawn.
+//! The object's tree on the device: made when the first frame is drawn that needs it.
 
 use std::sync::Arc;
 
-use super::super::refraction::ObjectTree;
-use super::super::{Component, Settings};
+use super::super::Settings;
+use super::super::object_tree::ObjectTree;
 use super::Kernel;
 use super::light::view;
 use crate::gpu::{Gpu, GpuError, float_texture};
@@ -20,7 +20,7 @@ pub(super) struct TreeTexture {
     refused: Option<(u64, GpuError)>,
 }
 
-// 2 to `TREE_BITS` of refraction.wgsl.
+// 2 to `TREE_BITS` of object_tree.wgsl.
 const WIDTH: usize = 1 << 12;
 
 impl TreeTexture {
@@ -38,7 +38,7 @@ impl TreeTexture {
         16 * u64::from(self.texture.width()) * u64::from(self.texture.height())
     }
 
-    /// Whether frames of clear bodies can be drawn.
+    /// Whether frames can be drawn that need it.
     pub fn is_made(&self) -> bool {
         self.first_packet.is_some()
     }
@@ -52,7 +52,7 @@ impl TreeTexture {
 impl Kernel {
     /// Makes what such a frame needs. What is made counts in the budget.
     pub(super) fn ensure_tree(&mut self, settings: &Settings, pages: &CountingSource<'_>) -> Result<(), RenderError> {
-        if !matches!(settings.component, Component::Refraction(_)) || self.tree.first_packet.is_some() {
+        if !settings.needs_tree() || self.tree.first_packet.is_some() {
             return Ok(());
         }
         let room = self.budget_bytes.saturating_sub(self.fixed_bytes());

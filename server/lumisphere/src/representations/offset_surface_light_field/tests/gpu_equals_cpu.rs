@@ -9,6 +9,7 @@ use super::super::kernel::{Kernel, LightUniform, PointLightUniform, ShadingUnifo
 use super::super::reference::{PagedCubes, PagesTouched, Reference};
 use super::corrected::{NEAR, with_liars};
 use super::fixture::{MemoryPages, WORLD, World, starve};
+use super::reflections::facing_itself;
 use super::{BLENDS, EVERYTHING, odd_cameras, settings};
 use crate::geometry::Camera;
 use crate::gpu::layout_check::assert_same_layout;
@@ -211,6 +212,32 @@ fn glossy_shading_agrees_where_sample_points_are_integrated_one_by_one_and_for_t
     let unknown = GlossBrdf::Measured(ContentHash::of(b"of another"));
     let outcome = twins.on_gpu(&camera, settings(Component::Glossy(Gloss::of(unknown, 12)), Blend::Average));
     assert!(matches!(outcome, Err(Error::NoTable { .. })), "{outcome:?}");
+}
+
+#[test]
+fn reflections_agree_where_the_object_sees_itself() {
+    let Some(mut twins) = Twins::new(facing_itself(&World { room: 5.0, ..WORLD }), BUDGET) else { return };
+    let camera = WORLD.camera(Vec3::new(1.0, 0.5, 2.6), Vec3::new(0.1, -0.1, 0.0), WIDTH, HEIGHT);
+    let reads = [(Blend::Average, Filter::Bilinear), (Blend::Corrected, Filter::Footprint), (Blend::EnvironmentMap, Filter::Footprint)];
+    for (component, (blend, filter)) in [Component::Mirror, Component::Full].into_iter().flat_map(|c| reads.map(|read| (c, read))) {
+        let once = Settings { filter, ..settings(component, blend) };
+        let (_, _) = twins.on_gpu(&camera, once).unwrap();
+        let g_buffer = twins.kernel.read_g_buffer();
+        let mut before = twins.shaded(&camera, once, &g_buffer).0;
+        for reflections in [2, 3] {
+            let settings = Settings { reflections, ..once };
+            let (pixels, _) = twins.on_gpu(&camera, settings).unwrap();
+            let (color, provenance) = twins.shaded(&camera, settings, &g_buffer);
+            let ours = (pixels.color.as_slice(), pixels.provenance.as_deref().unwrap());
+            // At the rim of what is met rounding decides, too.
+            agree_but_for((&color, &provenance), ours, &Tolerance::F32_LOOKUP, 2 * TIES).unwrap_or_else(|e| panic!("{settings:?}: {e}"));
+            let changed = before.chunks(3).zip(color.chunks(3)).filter(|(a, b)| a != b).count();
+            // Of a ball and a part of another the third reflection is seldom on either.
+            let least = if reflections == 2 { 40 } else { 1 };
+            assert!(changed >= least, "{settings:?}: only {changed} pixels see another reflection");
+            before = color;
+        }
+    }
 }
 
 /// Turned, lit, and both, of every term; in the open and in a room, where nothing comes from infinity.
@@ -482,7 +509,8 @@ fn the_uniform_lies_in_memory_as_wgsl_has_it() {
             block_shift,
             first_direction,
             refraction_index,
-            first_packet
+            first_packet,
+            reflections
         }
     );
     assert_same_layout!(
