@@ -23,7 +23,17 @@ pub struct TargetFlags {
 pub fn alone_or_chosen(argument: clap::Arg) -> clap::Arg {
     let of_row = [
         ["component", "blend", "specular", "filter", "backend"].as_slice(),
-        &["brdf", "directions", "passes", "environment_turn_deg", "point_light", "refraction_index", "body"],
+        &[
+            "brdf",
+            "directions",
+            "passes",
+            "integration_order",
+            "reflections",
+            "environment_turn_deg",
+            "point_light",
+            "refraction_index",
+            "body",
+        ],
         &["truth", "truth_paths", "truth_passes"],
     ]
     .concat();

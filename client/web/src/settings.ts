@@ -40,8 +40,9 @@ export interface Settings {
   readonly environmentTurn: number;
   /** Point lights more, `X,Y,Z:R,G,B` each, separated by spaces. */
   readonly pointLights: string;
-  /** Of a clear body. */
+  /** Of a mirror, one after the other. */
   readonly reflections: number;
+  /** Of a clear body. */
   readonly refractionIndex: number;
   readonly body: string;
   readonly show: string;

@@ -16,7 +16,7 @@ use crate::scenes::{LoadOptions, SceneBundle, load};
 use oslf::{Blend, Component, Filter};
 
 /// A bowl on a table, under a lamp.
-fn scene() -> Scene {
+pub(super) fn scene() -> Scene {
     let json = br#"{"format": "neutral-scene/1",
         "materials": {"clay": {"type": "diffuse", "albedo": [0.7, 0.5, 0.35]}, "grey": {"type": "diffuse", "albedo": [0.4, 0.4, 0.45]}},
         "objects": [

@@ -290,6 +290,38 @@ mod tests {
     }
 
     #[test]
+    fn several_reflections_are_those_of_the_evaluation() {
+        let scene = crate::evaluate::stability_tests::scene();
+        let camera = scene.cameras[0].camera;
+        let mut passes = TruthPasses::new(&scene).unwrap();
+        let trace = TraceSettings { samples_per_pixel: 128, max_bounces: BOUNCES, seed: 3 };
+        let renderer = TruthRenderer::new(&scene, scene.object("bowl").unwrap()).unwrap();
+        let with = |component, reflections| match of_light_field(component) {
+            Settings::OffsetSurfaceLightField(s) => Settings::OffsetSurfaceLightField(oslf::Settings { reflections, ..s }),
+            other => other,
+        };
+        for component in [oslf::Component::Mirror, oslf::Component::Full] {
+            let mut view = renderer.view(&camera, &[Truth::OneReflection], &trace, &Unattended).unwrap();
+            let settings = with(component, 2);
+            renderer.add_mirrors(&mut view, &camera, &[settings.mirrors().unwrap()], &trace, &Unattended).unwrap();
+            let mut trace = |settings: &Settings| {
+                let mut trace = |k| passes.trace(&TruthPass { object: "bowl", ..pass(settings, k, 4) }, &camera, &Unattended).unwrap();
+                let mut mean = Accumulator::new(trace(0));
+                (1..16).for_each(|k| mean.add(&trace(k)));
+                mean.pixels().color.clone()
+            };
+            let counted: Vec<usize> = (0..view.mask.len()).filter(|i| view.mask[*i]).collect();
+            let mean = |of: &dyn Fn(usize) -> Vec3| counted.iter().map(|i| of(*i)).sum::<Vec3>() / counted.len() as f32;
+            let of_passes = |color: Vec<f32>| mean(&|i| Vec3::from_slice(&color[3 * i..3 * i + 3]));
+            let (twice, once) = (of_passes(trace(&settings)), of_passes(trace(&with(component, 1))));
+            let reference = view.reference(&settings, Truth::SeveralReflections);
+            let expected = mean(&|i| Vec3::from(reference.rgb(i)));
+            assert!(((twice - expected) / expected).abs().max_element() < 0.03, "{component:?}: {twice}, {expected} expected");
+            assert!(((once - expected) / expected).abs().max_element() > 0.06, "{component:?}: {once} of one, {expected} of two");
+        }
+    }
+
+    #[test]
     fn depth_is_along_the_rays_and_nothing_claims_a_sample() {
         let (scene, camera) = ball();
         let mut passes = TruthPasses::new(&scene).unwrap();

@@ -199,6 +199,10 @@ impl<'a> PathTracer<'a> {
     /// Turns a path at a mirror, or, in reflections, lets it see what is under it.
     fn mirror(&mut self, index: u32, point: &SurfacePoint<'a>, mirrors: &Mirrors, reflections: u32) -> Turned {
         let path = &mut self.paths[index as usize];
+        // Frames know of no back: it ends the reflections.
+        if reflections > 0 && point.triangle.front.dot(path.direction) > 0.0 {
+            return Turned::GoesOn;
+        }
         if reflections > 0 && mirrors.under == Under::Diffuse {
             // One of both, for both.
             path.throughput *= 2.0;

@@ -60,7 +60,7 @@ pub enum Appearance {
 pub struct Mirrors {
     /// In [0, 1] per channel, of each reflection.
     pub reflectance: Vec3,
-    /// One after the other, at most; at least 1. The last one shows the object diffuse.
+    /// One after the other, at most; at least 1. The last one, or one that shows its back, shows the object diffuse.
     pub reflections: u32,
     /// In those between.
     pub under: Under,

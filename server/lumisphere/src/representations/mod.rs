@@ -422,9 +422,9 @@ pub enum RenderError {
         "which texels depth-corrected reads ask for depends on what is stored; to record a frame another blend than corrected is expected"
     )]
     DependsOnPages,
-    /// Requests of frames in other light, or of clear bodies, cannot be recorded.
+    /// Requests of frames in other light, of clear bodies, or of mirrors that see themselves cannot be recorded.
     #[error(
-        "frames in other light and of clear bodies read more than cube maps; to record one no relighting and another component is expected"
+        "frames in other light, of clear bodies and of mirrors that see themselves read more than cube maps; to record one no relighting, another component or one reflection is expected"
     )]
     ReadsMore,
     /// Cube maps that do not tell how much of a coarse texel's light comes from infinity.

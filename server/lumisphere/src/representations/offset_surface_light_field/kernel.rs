@@ -14,7 +14,7 @@ use rayon::prelude::*;
 
 use super::coarse::{Coarse, with_levels};
 use super::relight::LightTables;
-use super::{Blend, Component, Filter, Gloss, GlossBrdf, MOST_REFLECTIONS, OffsetSurfaceLightField, Settings};
+use super::{Blend, Component, Filter, Gloss, GlossBrdf, OffsetSurfaceLightField, Settings};
 use crate::directions::FACES;
 use crate::gpu::{Atlas, AtlasShape, Gpu, GpuCacheStats, GpuError, ReadBack, Shader, binding, storage_buffer, value_buffer};
 use crate::radiometry::brdf::{BrdfUniform, Measured};
@@ -99,9 +99,8 @@ pub(crate) struct PointLightUniform {
 const BLOCK_ROWS: u32 = 16;
 const MOST_BLOCKS: u32 = 32;
 
-// All faces of the cube maps of four sample points each time that a mirror is met: twice as many as where light enters a clear body and
-// leaves it.
-const PAGES_OF_A_PIXEL: usize = 4 * MOST_REFLECTIONS as usize * FACES;
+// All faces of the cube maps of eight sample points: four where light enters a clear body, four where it leaves.
+const PAGES_OF_A_PIXEL: usize = 8 * FACES;
 
 /// One dataset on the device.
 pub(crate) struct Kernel {
@@ -268,6 +267,17 @@ impl Kernel {
     // Whether so much more can be held and leave room for the pages that any pixel may want: what stays is there in the way of every later
     // frame, those that have no use for it included.
     fn check_room(&self, what: &'static str, more_bytes: u64, pages: &CountingSource<'_>) -> Result<(), RenderError> {
+        self.check_room_for(PAGES_OF_A_PIXEL, what, more_bytes, pages)
+    }
+
+    // The same of pixels that want so many pages.
+    fn check_room_for(
+        &self,
+        pages_of_a_pixel: usize,
+        what: &'static str,
+        more_bytes: u64,
+        pages: &CountingSource<'_>,
+    ) -> Result<(), RenderError> {
         let pixel = match &self.atlas {
             Some(bound) => bound.shape.pixel,
             None => pages.page(PageId(0))?.shape().pixel,
@@ -276,14 +286,14 @@ impl Kernel {
         let page_bytes = self.plan(pixel, 0).1.page_bytes();
         let is_room = |bytes| {
             let (_, shape) = self.plan(pixel, bytes);
-            shape.capacity(&self.gpu, bytes) >= PAGES_OF_A_PIXEL.min(shape.page_count)
+            shape.capacity(&self.gpu, bytes) >= pages_of_a_pixel.min(shape.page_count)
         };
         let left = budget_bytes.saturating_sub(beside);
         if budget_bytes > beside && is_room(left) {
             return Ok(());
         }
         // Page by page: layers are filled by whole rows of them. Where pages are so large that no budget is enough there is no such number.
-        let most = 4 * (PAGES_OF_A_PIXEL + self.plan(pixel, left).1.pinned_slots) as u64;
+        let most = 4 * (pages_of_a_pixel + self.plan(pixel, left).1.pinned_slots) as u64;
         let with = |pages: u64| page_bytes.checked_mul(pages).and_then(|bytes| left.checked_add(bytes));
         let needed = (1..=most).map_while(with).find(|bytes| is_room(*bytes)).unwrap_or(u64::MAX);
         Err(GpuError::OverBudget { what, needed_bytes: beside.saturating_add(needed), budget_bytes }.into())

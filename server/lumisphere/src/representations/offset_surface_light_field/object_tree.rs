@@ -34,6 +34,11 @@ impl ObjectTree {
         Self { bvh: Bvh::build(&triangles), geometry }
     }
 
+    /// Lengths below it are none.
+    pub fn near(&self) -> f32 {
+        self.geometry.near
+    }
+
     /// The next surface along a ray from a point of the object, `normal` on either side of it.
     pub fn next(&self, from: Vec3, normal: Vec3, direction: Vec3) -> Option<ObjectPoint> {
         let origin = from + self.geometry.near.copysign(normal.dot(direction)) * normal;

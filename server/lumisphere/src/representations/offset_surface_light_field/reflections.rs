@@ -53,7 +53,8 @@ pub(super) fn reflections(
             Filter::Footprint => [(by[0], r.across), (by[1], r.down)].map(|(by, turn)| {
                 let beside = neighbour(&at, &by);
                 let other = next_sight(&tree, &beside, mirror_direction(beside.normal, beside.direction));
-                sights_apart(&there, other.map(|(sight, _)| sight), Sight { normal: Vec3::ZERO, direction: turn, ..by })
+                let along = by.position + at.position.distance(there.position) * turn;
+                sights_apart(&there, other.map(|(sight, _)| sight), Sight { position: along, normal: Vec3::ZERO, direction: turn })
             }),
         };
         (at, candidates) = (there, field.sample_maps.at(point.part, point.uv.x, point.uv.y));
@@ -61,11 +62,14 @@ pub(super) fn reflections(
     Ok(sum.unwrap_or(NOTHING))
 }
 
-/// The front that a ray from x along `direction` meets, as the ray sees it.
+/// The front that a ray from x along `direction` meets, as the ray sees it. A facet that x does not lie before is its own, or one of a convex
+/// surface that shading makes round: near the silhouette what is mirrored by the interpolated normal passes below it.
 fn next_sight(tree: &ObjectTree, from: &Sight, direction: Vec3) -> Option<(Sight, ObjectPoint)> {
     let point = tree.next(from.position, from.normal, direction)?;
     let normal = outward(point.shading, point.geometric, -direction);
-    (point.geometric.dot(direction) < 0.0).then_some((Sight { position: point.position, normal, direction }, point))
+    let before = point.geometric.dot(from.position - point.position);
+    (point.geometric.dot(direction) < 0.0 && before > 0.5 * tree.near())
+        .then_some((Sight { position: point.position, normal, direction }, point))
 }
 
 /// By how much two sights differ, or what a plane there would make it.

@@ -40,7 +40,7 @@ fn reflections(first: Sight, first_across: Sight, first_down: Sight, first_candi
                     direction = mirror_direction(beside.normal, beside.direction);
                 }
                 let found = next_sight(beside, direction);
-                let level = Sight(by.position, vec3(0.0), turn);
+                let level = Sight(by.position + distance(at.position, met.sight.position) * turn, vec3(0.0), turn);
                 if ray == 0u {
                     met = found;
                 } else if ray == 1u {
@@ -73,7 +73,8 @@ fn reflections(first: Sight, first_across: Sight, first_down: Sight, first_candi
 fn next_sight(start: Sight, direction: vec3<f32>) -> NextSight {
     let point = next_surface(start.position, start.normal, direction);
     let normal = outward(point.shading, point.geometric, -direction);
-    let is_front = dot(point.geometric, direction) < 0.0;
+    let before = dot(point.geometric, start.position - point.position);
+    let is_front = dot(point.geometric, direction) < 0.0 && before > 0.5 * camera.near;
     return NextSight(point.exists && is_front, Sight(point.position, normal, direction), point.uv, point.part);
 }
 

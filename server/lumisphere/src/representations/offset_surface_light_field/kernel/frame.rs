@@ -14,7 +14,8 @@ use rayon::prelude::*;
 
 use super::super::coarse::with_levels_of_a_face;
 use super::super::{Blend, Component, GlossBrdf, Settings};
-use super::{BoundAtlas, Kernel, ShadingUniform};
+use super::{BoundAtlas, Kernel, PAGES_OF_A_PIXEL, ShadingUniform};
+use crate::directions::FACES;
 use crate::gpu::{Gpu, GpuError, Upload, conform};
 use crate::representations::frame_output::{self, FrameOutput};
 use crate::representations::page_source::CountingSource;
@@ -75,6 +76,11 @@ impl Kernel {
         self.ensure_light(settings, pages)?;
         self.ensure_tree(settings, pages)?;
         self.ensure_table(request, settings, pages)?;
+        // Four sample points each time that a mirror is met.
+        let pages_of_a_pixel = 4 * settings.reflections as usize * FACES;
+        if settings.sees_itself() && pages_of_a_pixel > PAGES_OF_A_PIXEL {
+            self.check_room_for(pages_of_a_pixel, "the pages of a pixel's reflections", 0, pages)?;
+        }
         self.ensure_atlas(pages)?;
         let bound = self.atlas.as_mut().expect("made above");
         let (atlas, stands_in) = (&mut bound.atlas, bound.coarse.exists());

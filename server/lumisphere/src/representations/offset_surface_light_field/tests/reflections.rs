@@ -83,6 +83,21 @@ fn further_reflections_show_what_the_reflected_surface_mirrors() {
     }
 }
 
+/// Near its silhouette, too, where interpolated normals mirror rays into the facet that they come from.
+#[test]
+fn a_convex_body_does_not_see_itself() {
+    let world = World { quads: 6, ..FINE };
+    let (field, pages) = world.build();
+    let camera = world.camera(ORIGIN, Vec3::ZERO, 96, 72);
+    for component in [Component::Mirror, Component::Full] {
+        let shown = |reflections| {
+            let settings = Settings { reflections, ..settings(component, Blend::EnvironmentMap) };
+            frame_of(field.clone(), &pages, &camera, settings).unwrap().pixels.color
+        };
+        assert!(shown(1) == shown(4), "{component:?}");
+    }
+}
+
 fn met_distance(x: Vec3, r: Vec3, normal: Vec3) -> f32 {
     (MOVED + normal - x).dot(r)
 }
