@@ -1,0 +1,182 @@
+//! Fits whose single lobes a graphics device fits, beside those of the processor: the same models, the same doubts, the same numbers but
+//! for rounding.
+
+use super::cases::*;
+use crate::fitting::*;
+use crate::gpu::{GpuError, test_gpu};
+
+/// RMSE between the radiances of two fits of a texel, over 1249 directions, as a part of white.
+const SAME_RADIANCE: f64 = 2e-4;
+/// Relative difference of two exponents, and difference of two unit axes, where a lobe is resolved.
+const SAME_EXPONENT: f32 = 5e-3;
+const SAME_AXIS: f32 = 1e-3;
+/// Texels that may fall the other way: between two models, between two starts, or to the other side of a doubt's threshold.
+const OTHERS: f64 = 0.01;
+
+fn auto() -> Settings {
+    Settings::new(Choice::Auto { lobes_at_most: 3 }, Noise { floor: 3e-4, relative: 0.0 })
+}
+
+fn one() -> Settings {
+    Settings { choice: Choice::Exactly(Rung::Lobes(1)), ..auto() }
+}
+
+fn kernel() -> Option<LobeKernel> {
+    test_gpu().map(|gpu| LobeKernel::new(gpu).unwrap())
+}
+
+fn on(kernel: &LobeKernel, case: &Case, settings: &Settings) -> Vec<Outcome> {
+    fit_on(kernel, &case.batch(), settings, None).unwrap()
+}
+
+/// How two fits of a case differ.
+#[derive(Debug, Default)]
+struct Differences {
+    /// Texels with another kind of model, or other flags, or another radiance than rounding explains.
+    others: usize,
+    texels: usize,
+    /// Largest RMSE, relative difference of exponents and difference of axes of all others.
+    radiance: f64,
+    exponent: f32,
+    axis: f32,
+}
+
+fn differences(found: &[Outcome], expected: &[Outcome]) -> Differences {
+    let dense = icosahedron(1249);
+    let mut told = Differences { texels: found.len(), ..Differences::default() };
+    assert_eq!(found.len(), expected.len());
+    for (found, expected) in found.iter().zip(expected) {
+        let (Some(a), Some(b)) = (found.fit(), expected.fit()) else {
+            assert_eq!(found, expected);
+            continue;
+        };
+        let squares = dense.iter().map(|&d| {
+            let (a, b) = (a.model.eval(d), b.model.eval(d));
+            (0..3).map(|c| f64::from(a[c] - b[c]).powi(2)).sum::<f64>()
+        });
+        let radiance = (squares.sum::<f64>() / (3 * dense.len()) as f64).sqrt();
+        let same_kind = std::mem::discriminant(&a.model) == std::mem::discriminant(&b.model) && lobes(&a.model) == lobes(&b.model);
+        if !same_kind || a.flags != b.flags || !(radiance <= SAME_RADIANCE) {
+            told.others += 1;
+            continue;
+        }
+        told.radiance = told.radiance.max(radiance);
+        let (Model::Lobes { lobes: a, .. }, Model::Lobes { lobes: b, .. }, false) =
+            (&a.model, &b.model, a.flags.contains(Flags::UNRESOLVED))
+        else {
+            continue;
+        };
+        if let ([a], [b]) = (&a[..], &b[..]) {
+            told.exponent = told.exponent.max((a.exponent / b.exponent - 1.0).abs());
+            told.axis = (0..3).map(|c| (a.axis[c] - b.axis[c]).abs()).fold(told.axis, f32::max);
+        }
+    }
+    told
+}
+
+fn assert_same(kernel: &LobeKernel, name: &str, case: &Case, settings: &Settings) {
+    let told = differences(&on(kernel, case, settings), &fit(&case.batch(), settings).unwrap());
+    println!("{name}: {told:?}");
+    assert!(told.others as f64 <= OTHERS * told.texels as f64, "{name}: {told:?}");
+    assert!(told.exponent <= SAME_EXPONENT && told.axis <= SAME_AXIS, "{name}: {told:?}");
+}
+
+/// A third of the samples, and every seventh texel, are missing.
+fn with_gaps(mut case: Case) -> Case {
+    for t in 0..case.states.len() {
+        for i in 0..case.states[t].len() {
+            if t % 7 == 3 || case.uniform() < 1.0 / 3.0 {
+                case.states[t][i] = State::MISSING;
+            }
+        }
+    }
+    case
+}
+
+#[test]
+fn maps_of_all_kinds_get_the_processors_models_and_flags() {
+    let Some(kernel) = kernel() else { return };
+    let mixed = |views: usize| Case::new(random_lobes(256, &[0, 1, 2, 3], [5.0, 80.0]), &icosahedron(views)).noise(0.005);
+    let rejecting = Settings { outliers: Outliers::Reject, ..auto() };
+    assert_same(&kernel, "mixed, 289 views", &mixed(289), &auto());
+    assert_same(&kernel, "mixed, 73 views", &mixed(73), &auto());
+    assert_same(&kernel, "one lobe asked, 73 views", &mixed(73), &one());
+    assert_same(&kernel, "one lobe asked, 12 views", &Case::new(one_light(0.4, 20.0), &icosahedron(17)[..12]).noise(0.005), &one());
+    assert_same(&kernel, "gaps", &with_gaps(mixed(73)), &auto());
+    assert_same(&kernel, "outliers", &mixed(73).outliers().0, &rejecting);
+    assert_same(&kernel, "clipped", &Case::new(one_light(3.0, 50.0), &icosahedron(289)).noise(0.005).clipped(1.0), &auto());
+    assert_same(&kernel, "polished", &mixed(73), &Settings { precision: Precision::Polished, ..auto() });
+    let grows = Settings { noise: Noise { floor: 0.005, relative: 0.01 }, ..one() };
+    assert_same(&kernel, "noise that grows", &Case::new(one_light(0.8, 30.0), &icosahedron(289)).with(|v, n| v * (1.0 + 0.01 * n)), &grows);
+    assert_same(&kernel, "no prior", &Case::new(one_light(0.4, 20.0), &icosahedron(73)).noise(0.005), &Settings { prior: None, ..one() });
+}
+
+#[test]
+fn exact_samples_give_their_parameters_back_from_the_device() {
+    let Some(kernel) = kernel() else { return };
+    let case = Case::new(one_light(0.4, 20.0), &icosahedron(289));
+    for (outcome, truth) in on(&kernel, &case, &auto()).iter().zip(&case.truth) {
+        let (Some(Fit { model: Model::Lobes { lobes: found, .. }, .. }), Model::Lobes { lobes: truth, .. }) = (outcome.fit(), truth) else {
+            panic!("{outcome:?}")
+        };
+        // As the processor's.
+        assert!(found.len() == 1 && (found[0].exponent / truth[0].exponent - 1.0).abs() <= 1e-3, "{found:?} instead of {truth:?}");
+    }
+}
+
+#[test]
+fn a_texel_alone_and_among_others_on_any_number_of_threads_is_the_same_from_the_device() {
+    let Some(kernel) = kernel() else { return };
+    let case = Case::new(random_lobes(100, &[0, 1, 2], [5.0, 200.0]), &icosahedron(73)).noise(0.005).outliers().0.clipped(0.9);
+    let settings = Settings { outliers: Outliers::Reject, ..auto() };
+    let with = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| on(&kernel, &case, &settings))
+    };
+    let expected = with(1);
+    assert_eq!(with(3), expected);
+    for (t, expected) in expected.iter().enumerate().step_by(9) {
+        let mut alone = Batch::new();
+        alone.push(&case.directions[t], &case.values[t], &case.states[t]).unwrap();
+        assert_eq!(fit_on(&kernel, &alone, &settings, None).unwrap()[0], *expected, "texel {t}");
+    }
+}
+
+#[test]
+fn nothing_to_fit_is_no_work_for_the_device() {
+    let Some(kernel) = kernel() else { return };
+    assert_eq!(fit_on(&kernel, &Batch::new(), &auto(), None), Ok(vec![]));
+    let mut unseen = Batch::new();
+    unseen.push(&[], &[], &[]).unwrap();
+    assert_eq!(fit_on(&kernel, &unseen, &one(), None), Ok(vec![Outcome::Unobserved]));
+    let wrong = Settings { choice: Choice::Exactly(Rung::Lobes(0)), ..auto() };
+    assert_eq!(fit_on(&kernel, &unseen, &wrong, None), Err(DeviceFitError::Settings(SettingsError::Lobes(0))));
+}
+
+#[test]
+fn a_device_that_is_lost_or_answers_with_no_numbers_fits_nothing() {
+    let Some(gpu) = test_gpu() else { return };
+    let case = Case::new(one_light(0.4, 20.0), &icosahedron(73)).noise(0.005);
+    // As a driver does that drops its writes, and one that makes zeros.
+    for (line, instead) in [
+        ("        here.axis, here.log_exponent,", "        0.0 * here.axis, here.log_exponent,"),
+        ("fits[which] =", "let lost ="),
+        ("looks[which].places[p] =", "let lost ="),
+    ] {
+        assert!(device::SOURCE.contains(line), "{line}");
+        let broken = LobeKernel::with_source(gpu.clone(), device::SOURCE.replace(line, instead).leak()).unwrap();
+        let told = fit_on(&broken, &case.batch(), &one(), None).unwrap_err();
+        assert!(
+            matches!(&told, DeviceFitError::Device(GpuError::Failed { reason }) if reason.contains("what it calculated is no")),
+            "{told}"
+        );
+    }
+    let kernel = LobeKernel::new(gpu.clone()).unwrap();
+    assert_eq!(on(&kernel, &case, &one()).len(), 256);
+    gpu.lose();
+    for _ in 0..2 {
+        let told = fit_on(&kernel, &case.batch(), &one(), None).unwrap_err();
+        assert!(matches!(told, DeviceFitError::Device(GpuError::Failed { .. })), "{told}");
+    }
+    assert!(LobeKernel::new(gpu).is_err());
+}
