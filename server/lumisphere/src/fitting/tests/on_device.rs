@@ -7,11 +7,13 @@ use crate::gpu::{GpuError, test_gpu};
 
 /// RMSE between the radiances of two fits of a texel, over 1249 directions, as a part of white.
 const SAME_RADIANCE: f64 = 2e-4;
+/// Of two costs, relative: where the views leave a lobe open, many models are as good.
+const SAME_COST: f32 = 2e-3;
 /// Relative difference of two exponents, and difference of two unit axes, where a lobe is resolved.
-const SAME_EXPONENT: f32 = 5e-3;
-const SAME_AXIS: f32 = 1e-3;
-/// Texels that may fall the other way: between two models, between two starts, or to the other side of a doubt's threshold.
-const OTHERS: f64 = 0.01;
+const SAME_EXPONENT: f32 = 2e-3;
+const SAME_AXIS: f32 = 5e-4;
+/// Texels that may fall the other way: between two models, two minima, or to the other side of an outlier's or a doubt's threshold.
+const OTHERS: f64 = 0.015;
 
 fn auto() -> Settings {
     Settings::new(Choice::Auto { lobes_at_most: 3 }, Noise { floor: 3e-4, relative: 0.0 })
@@ -32,13 +34,21 @@ fn on(kernel: &LobeKernel, case: &Case, settings: &Settings) -> Vec<Outcome> {
 /// How two fits of a case differ.
 #[derive(Debug, Default)]
 struct Differences {
-    /// Texels with another kind of model, or other flags, or another radiance than rounding explains.
-    others: usize,
     texels: usize,
-    /// Largest RMSE, relative difference of exponents and difference of axes of all others.
+    /// With another kind of model, or other flags, or another minimum.
+    others: usize,
+    /// Largest of all the rest, where lobes are resolved.
     radiance: f64,
     exponent: f32,
     axis: f32,
+}
+
+fn rms_between(a: &Model, b: &Model, directions: &[[f32; 3]]) -> f64 {
+    let squares = directions.iter().map(|&d| {
+        let (a, b) = (a.eval(d), b.eval(d));
+        (0..3).map(|c| f64::from(a[c] - b[c]).powi(2)).sum::<f64>()
+    });
+    (squares.sum::<f64>() / (3 * directions.len()) as f64).sqrt()
 }
 
 fn differences(found: &[Outcome], expected: &[Outcome]) -> Differences {
@@ -50,35 +60,42 @@ fn differences(found: &[Outcome], expected: &[Outcome]) -> Differences {
             assert_eq!(found, expected);
             continue;
         };
-        let squares = dense.iter().map(|&d| {
-            let (a, b) = (a.model.eval(d), b.model.eval(d));
-            (0..3).map(|c| f64::from(a[c] - b[c]).powi(2)).sum::<f64>()
-        });
-        let radiance = (squares.sum::<f64>() / (3 * dense.len()) as f64).sqrt();
-        let same_kind = std::mem::discriminant(&a.model) == std::mem::discriminant(&b.model) && lobes(&a.model) == lobes(&b.model);
-        if !same_kind || a.flags != b.flags || !(radiance <= SAME_RADIANCE) {
+        let radiance = rms_between(&a.model, &b.model, &dense);
+        let is_open = a.flags.contains(Flags::UNRESOLVED);
+        let is_as_good = (a.final_cost / b.final_cost - 1.0).abs() <= SAME_COST;
+        let is_same_kind = std::mem::discriminant(&a.model) == std::mem::discriminant(&b.model) && lobes(&a.model) == lobes(&b.model);
+        if !is_same_kind || a.flags != b.flags || !(radiance <= SAME_RADIANCE || is_open && is_as_good) {
             told.others += 1;
-            continue;
-        }
-        told.radiance = told.radiance.max(radiance);
-        let (Model::Lobes { lobes: a, .. }, Model::Lobes { lobes: b, .. }, false) =
-            (&a.model, &b.model, a.flags.contains(Flags::UNRESOLVED))
-        else {
-            continue;
-        };
-        if let ([a], [b]) = (&a[..], &b[..]) {
-            told.exponent = told.exponent.max((a.exponent / b.exponent - 1.0).abs());
-            told.axis = (0..3).map(|c| (a.axis[c] - b.axis[c]).abs()).fold(told.axis, f32::max);
+        } else if !is_open {
+            told.radiance = told.radiance.max(radiance);
+            if let (Model::Lobes { lobes: a, .. }, Model::Lobes { lobes: b, .. }) = (&a.model, &b.model) {
+                for (a, b) in a.iter().zip(b) {
+                    told.exponent = told.exponent.max((a.exponent / b.exponent - 1.0).abs());
+                    told.axis = (0..3).map(|c| (a.axis[c] - b.axis[c]).abs()).fold(told.axis, f32::max);
+                }
+            }
         }
     }
     told
 }
 
+/// Median over the texels of the RMSE against the truth.
+fn median_error(outcomes: &[Outcome], truth: &[Model]) -> f64 {
+    let dense = icosahedron(1249);
+    let pairs = outcomes.iter().zip(truth).filter_map(|(outcome, truth)| Some((&outcome.fit()?.model, truth)));
+    let mut errors: Vec<f64> = pairs.map(|(model, truth)| rms_between(model, truth, &dense)).collect();
+    errors.sort_by(f64::total_cmp);
+    errors[errors.len() / 2]
+}
+
 fn assert_same(kernel: &LobeKernel, name: &str, case: &Case, settings: &Settings) {
-    let told = differences(&on(kernel, case, settings), &fit(&case.batch(), settings).unwrap());
-    println!("{name}: {told:?}");
+    let (found, expected) = (on(kernel, case, settings), fit(&case.batch(), settings).unwrap());
+    let told = differences(&found, &expected);
+    let errors = (median_error(&found, &case.truth), median_error(&expected, &case.truth));
+    println!("{name}: {told:?}, median dense errors {errors:?}");
     assert!(told.others as f64 <= OTHERS * told.texels as f64, "{name}: {told:?}");
     assert!(told.exponent <= SAME_EXPONENT && told.axis <= SAME_AXIS, "{name}: {told:?}");
+    assert!((errors.0 / errors.1 - 1.0).abs() <= 0.01, "{name}: {errors:?} against the truth");
 }
 
 /// A third of the samples, and every seventh texel, are missing.
@@ -100,7 +117,9 @@ fn maps_of_all_kinds_get_the_processors_models_and_flags() {
     let rejecting = Settings { outliers: Outliers::Reject, ..auto() };
     assert_same(&kernel, "mixed, 289 views", &mixed(289), &auto());
     assert_same(&kernel, "mixed, 73 views", &mixed(73), &auto());
-    assert_same(&kernel, "one lobe asked, 73 views", &mixed(73), &one());
+    // Not of texels that have none: a lobe of noise has many places.
+    let glossy = Case::new(random_lobes(256, &[1, 2, 3], [5.0, 80.0]), &icosahedron(73)).noise(0.005);
+    assert_same(&kernel, "one lobe asked, 73 views", &glossy, &one());
     assert_same(&kernel, "one lobe asked, 12 views", &Case::new(one_light(0.4, 20.0), &icosahedron(17)[..12]).noise(0.005), &one());
     assert_same(&kernel, "gaps", &with_gaps(mixed(73)), &auto());
     assert_same(&kernel, "outliers", &mixed(73).outliers().0, &rejecting);
@@ -178,5 +197,4 @@ fn a_device_that_is_lost_or_answers_with_no_numbers_fits_nothing() {
         let told = fit_on(&kernel, &case.batch(), &one(), None).unwrap_err();
         assert!(matches!(told, DeviceFitError::Device(GpuError::Failed { .. })), "{told}");
     }
-    assert!(LobeKernel::new(gpu).is_err());
 }
