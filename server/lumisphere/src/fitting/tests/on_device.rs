@@ -2,6 +2,11 @@
 //! for rounding.
 
 use super::cases::*;
+use crate::fitting::candidate::Start;
+use crate::fitting::ladder::{Task, climb};
+use crate::fitting::lobes::question::Stop;
+use crate::fitting::one_lobe::{OneLobe, Processor};
+use crate::fitting::tile::Tile;
 use crate::fitting::*;
 use crate::gpu::{GpuError, test_gpu};
 
@@ -95,7 +100,7 @@ fn assert_same(kernel: &LobeKernel, name: &str, case: &Case, settings: &Settings
     println!("{name}: {told:?}, median dense errors {errors:?}");
     assert!(told.others as f64 <= OTHERS * told.texels as f64, "{name}: {told:?}");
     assert!(told.exponent <= SAME_EXPONENT && told.axis <= SAME_AXIS, "{name}: {told:?}");
-    assert!((errors.0 / errors.1 - 1.0).abs() <= 0.01, "{name}: {errors:?} against the truth");
+    assert!((errors.0 / errors.1 - 1.0).abs() <= 0.02, "{name}: {errors:?} against the truth");
 }
 
 /// A third of the samples, and every seventh texel, are missing.
@@ -128,6 +133,80 @@ fn maps_of_all_kinds_get_the_processors_models_and_flags() {
     let grows = Settings { noise: Noise { floor: 0.005, relative: 0.01 }, ..one() };
     assert_same(&kernel, "noise that grows", &Case::new(one_light(0.8, 30.0), &icosahedron(289)).with(|v, n| v * (1.0 + 0.01 * n)), &grows);
     assert_same(&kernel, "no prior", &Case::new(one_light(0.4, 20.0), &icosahedron(73)).noise(0.005), &Settings { prior: None, ..one() });
+}
+
+/// Texels whose channels push against every bound: an amplitude below zero, a constant below zero, both.
+fn bounded() -> Case {
+    let mut case = Case::new(one_light(0.4, 20.0)[..40].to_vec(), &icosahedron(73)).noise(0.005);
+    for values in &mut case.values {
+        values.iter_mut().for_each(|[red, green, blue]| {
+            let lobe = *red - 0.5;
+            (*green, *blue) = (0.3 - 0.5 * lobe, 0.4 * lobe);
+        });
+    }
+    case.values[30..].iter_mut().flatten().for_each(|value| value[0] = -value[0]);
+    case
+}
+
+fn near(a: f32, b: f32, tolerance: f32) -> bool {
+    (a - b).abs() <= tolerance * b.abs().max(1e-2)
+}
+
+#[test]
+fn places_gains_and_the_first_steps_are_the_processors_number_by_number() {
+    let Some(kernel) = kernel() else { return };
+    let mixed = Case::new(random_lobes(40, &[0, 1, 2], [5.0, 80.0]), &icosahedron(73)).noise(0.005);
+    let grows = Noise { floor: 3e-4, relative: 0.01 };
+    for (name, case, noise) in
+        [("mixed", with_gaps(mixed), auto().noise), ("bounded", bounded(), grows), ("clipped", bounded().clipped(0.6), grows)]
+    {
+        let (batch, settings) = (case.batch(), Settings { noise, ..one() });
+        let tile = Tile::new(batch.groups(), batch.texels(), noise);
+        let seen: Vec<usize> = (0..40).filter(|&texel| tile.texels()[texel].numbers > 0).collect();
+        let flat = Settings { choice: Choice::Exactly(Rung::Constant), ..settings };
+        let mut scratch = Vec::new();
+        let Ok(climbs) = climb(&tile, &seen, &flat, &Processor, &mut scratch);
+        let climbing: Vec<usize> = (0..climbs.len()).collect();
+        let Ok(expected) = Processor.look(&tile, &climbs, &climbing, 3, &mut scratch);
+        let found = kernel.look(&tile, &climbs, &climbing, 3, &mut scratch).unwrap();
+        let mut tasks = Vec::new();
+        for ((climb, found), expected) in climbs.iter().zip(&found).zip(&expected) {
+            for (p, axis) in expected.place.iter().enumerate() {
+                // A centroid of nothing: rounding decides between the peak and the normal.
+                if p == 3 && axis[2] == 1.0 {
+                    continue;
+                }
+                // Sums of 73 samples in another order.
+                let is_same = axis.iter().zip(&found.place[p]).all(|(a, b)| (a - b).abs() < 1e-5);
+                assert!(is_same, "{name}, texel {}, place {p}: {:?} instead of {axis:?}", climb.texel, found.place[p]);
+                for (k, gain) in expected.gain[p].iter().enumerate() {
+                    assert!(
+                        near(found.gain[p][k], *gain, 1e-3),
+                        "{name}, texel {}, place {p}, exponent {k}: {found:?}, {expected:?}",
+                        climb.texel
+                    );
+                }
+                let mut start = Start::NONE;
+                (start.axis[0], start.log_exponent[0]) = (*axis, 3.0);
+                tasks.push(Task { climb: climb.texel, texel: climb.texel, start, linear: climb.top.linear });
+            }
+        }
+        // Later, rounding may decide whether a step serves.
+        let stop = Stop { tolerance: 1e-6, iterations: 3 };
+        let Ok(expected) = Processor.polish(&tile, &tasks, &settings, stop);
+        for (i, (a, b)) in kernel.polish(&tile, &tasks, &settings, stop).unwrap().iter().zip(&expected).enumerate() {
+            let numbers = |c: &candidate::Candidate| {
+                let [[x, y, z], ..] = c.shape.axis;
+                let [constant, amplitude, ..] = c.linear;
+                let costs = [c.cost as f32, c.initial_cost as f32];
+                [vec![x, y, z, c.shape.log_exponent[0], c.carried[0]], constant.to_vec(), amplitude.to_vec(), costs.to_vec()].concat()
+            };
+            let is_same = numbers(a).iter().zip(numbers(b)).all(|(a, b)| near(*a, b, 5e-3));
+            assert!(is_same && a.iterations == b.iterations && a.termination == b.termination, "{name}, task {i}: {a:?} instead of {b:?}");
+            let variance = (a.log_exponent_variance[0], b.log_exponent_variance[0]);
+            assert!(near(variance.0, variance.1, 0.05), "{name}, task {i}: variance {variance:?}");
+        }
+    }
 }
 
 #[test]
