@@ -122,6 +122,8 @@ pub struct FitSettings {
     pub polish: bool,
     /// Null: no bound.
     pub max_bytes: Option<u64>,
+    /// "cpu" or "gpu": what fits single lobes.
+    pub backend: &'static str,
 }
 
 /// What has come of a fit so far. Fields are the wire's.
@@ -387,6 +389,7 @@ impl From<wire::Job> for Job {
                 reject_outliers: s.reject_outliers,
                 polish: s.polish,
                 max_bytes: (s.max_bytes != 0).then_some(s.max_bytes),
+                backend: if s.backend() == wire::Backend::Gpu { "gpu" } else { "cpu" },
             }),
             _ => None,
         };

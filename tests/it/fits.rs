@@ -1,4 +1,4 @@
-//! `job submit fit` while it works: killed and gone on with, seen half-way, cancelled, bounded in bytes.
+//! `job submit fit` while it works: killed and gone on with, seen half-way, cancelled, bounded in bytes, on the GPU.
 
 use std::fs;
 use std::path::Path;
@@ -8,6 +8,7 @@ use serde_json::Value;
 use wire::JobState;
 
 use crate::killed::{content_hashes, follow_until};
+use crate::prefetch::has_adapter;
 use crate::process::{Server, temporary_folder};
 use crate::wire::{camera_around, output};
 
@@ -21,9 +22,9 @@ const SCENE: &str = r#"{"format": "neutral-scene/1",
     "cameras": [{"name": "a", "origin": [0, 1, 3], "target": [0, 0, 0], "vfov_deg": 40, "width": 64, "height": 48}]}"#;
 
 /// Five batches of texels: some are fitted, some are not.
-const TEXELS: u64 = 96 * 96;
+pub const TEXELS: u64 = 96 * 96;
 
-fn observe(server: &Server, folder: &Path) {
+pub fn observe(server: &Server, folder: &Path) {
     let scene = folder.join("scene.json");
     fs::write(&scene, SCENE).unwrap();
     let submit = ["job", "submit", "observe", "--scene", scene.to_str().unwrap(), "--object", "plane", "--dataset", "seen"];
@@ -31,16 +32,16 @@ fn observe(server: &Server, folder: &Path) {
     server.json(&[&submit[..], &quick, &["--watch", "--quiet"]].concat());
 }
 
-fn submit(server: &Server, into: &str, flags: &[&str]) -> String {
+pub fn submit(server: &Server, into: &str, flags: &[&str]) -> String {
     let fit = ["job", "submit", "fit", "--observations", "seen", "--dataset", into];
     server.json(&[&fit[..], flags].concat())["name"].as_str().unwrap().to_string()
 }
 
-fn fit_of(job: &wire::Job) -> wire::FitProgress {
+pub fn fit_of(job: &wire::Job) -> wire::FitProgress {
     job.progress.clone().and_then(|p| p.fit).unwrap_or_default()
 }
 
-fn latest(server: &Server, dataset: &str) -> Option<u64> {
+pub fn latest(server: &Server, dataset: &str) -> Option<u64> {
     let listed = server.json(&["dataset", "list"]);
     let found = listed["datasets"].as_array().unwrap().iter().find(|d| d["name"] == dataset)?;
     found["latest_version"].as_u64()
@@ -220,4 +221,50 @@ fn watching_a_fit_tells_its_rate_models_and_flags() {
     assert!(fit["median_residual"].as_f64() <= fit["p95_residual"].as_f64());
     let shown = server.succeed(&["job", "get", &name]);
     assert!(shown.contains("texels/s") && shown.contains("residual: rms"), "{shown}");
+}
+
+/// On the GPU; killed half-way, it goes on; where the server no longer uses an adapter it says so and leaves nothing.
+#[tokio::test]
+async fn a_fit_on_the_gpu_finds_the_cpus_models_goes_on_when_killed_and_is_never_the_cpus_instead() {
+    let folder = temporary_folder();
+    let data = folder.path().join("data");
+    let server = Server::start(&data);
+    observe(&server, folder.path());
+    if !has_adapter(&server) {
+        return;
+    }
+    let gpu = ["--model", "phong:1", "--backend", "gpu"];
+    let (on_cpu, on_gpu) = (submit(&server, "cpu", &gpu[..2]), submit(&server, "gpu", &gpu));
+    for (name, backend) in [(&on_cpu, "cpu"), (&on_gpu, "gpu")] {
+        assert_eq!(follow_until(&server, name, |_| false).await.state(), JobState::Succeeded);
+        assert_eq!(server.json(&["job", "get", name])["fit"]["backend"], backend);
+    }
+    let (expected, found) = (report(&server, &on_cpu)["fit"].clone(), report(&server, &on_gpu)["fit"].clone());
+    assert_eq!(found["histogram"], expected["histogram"]);
+    let (found, expected) = (found["rms_residual"].as_f64().unwrap(), expected["rms_residual"].as_f64().unwrap());
+    // Both end where a step would gain a millionth.
+    assert!((found / expected - 1.0).abs() < 1e-4, "{found} on the GPU, {expected} on the CPU");
+
+    let name = submit(&server, "killed", &gpu);
+    let job = follow_until(&server, &name, |job| fit_of(job).texels > 0).await;
+    assert!(fit_of(&job).texels < TEXELS, "not killed half-way: {job:?}");
+    server.kill();
+    let server = Server::start(&data);
+    assert_eq!(follow_until(&server, &name, |_| false).await.state(), JobState::Succeeded);
+    assert_eq!(content_hashes(&server, "killed"), content_hashes(&server, "gpu"));
+
+    // With all models there is more to do.
+    let name = submit(&server, "moved", &gpu[2..]);
+    follow_until(&server, &name, |job| fit_of(job).texels > 0).await;
+    server.kill();
+    let server = Server::start_with(&data, &["--backend", "cpu"]);
+    let job = follow_until(&server, &name, |_| false).await;
+    let error = job.error.clone().unwrap_or_default();
+    assert!(job.state() == JobState::Failed && error.message.contains("spec.fit.backend: GPU, CPU expected"), "{job:?}");
+    assert_eq!(latest(&server, "moved"), Some(0));
+    assert!(fs::read_dir(data.join("staging")).unwrap().next().is_none(), "a failed fit leaves something behind");
+    let fit = ["job", "submit", "fit", "--observations", "seen", "--dataset", "none", "--backend", "gpu"];
+    let refused = server.lumisphere(&fit);
+    let text = String::from_utf8_lossy(&refused.stderr).into_owned();
+    assert!(!refused.status.success() && text.contains("spec.fit.backend: GPU, CPU expected"), "{text}");
 }

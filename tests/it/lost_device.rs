@@ -1,5 +1,5 @@
 //! A graphics device that is lost while viewers look (by a Vulkan layer, `tests/lost_device`): the CPU draws until another is opened, and
-//! nobody's stream ends.
+//! nobody's stream ends. A fit on such a device fails.
 
 use std::fs;
 use std::path::Path;
@@ -9,6 +9,8 @@ use std::time::Instant;
 use lumisphere_proto::v1alpha1 as wire;
 use wire::offset_surface_light_field_settings::{Blend, Component};
 
+use crate::fits;
+use crate::killed::follow_until;
 use crate::prefetch::has_adapter;
 use crate::process::{PATIENCE, Server, binary, temporary_folder};
 use crate::tiny;
@@ -45,14 +47,44 @@ async fn shown(viewer: &mut Viewer, pose_id: u64, camera: wire::Camera) -> wire:
     }
 }
 
+/// A server whose device is lost while the file is there.
+fn start(folder: &Path, lost: &Path) -> Server {
+    install_layer(folder);
+    let mut command = Command::new(binary("lumisphere-server"));
+    command.env("VK_LAYER_PATH", folder).env("VK_INSTANCE_LAYERS", "VK_LAYER_LUMISPHERE_lost_device").env("LOST_DEVICE", lost);
+    Server::spawn(&mut command, &folder.join("data"))
+}
+
+#[tokio::test]
+async fn a_fit_whose_graphics_device_is_lost_fails_and_leaves_nothing() {
+    let folder = temporary_folder();
+    let lost = folder.path().join("lost");
+    let server = start(folder.path(), &lost);
+    if !has_adapter(&server) {
+        return;
+    }
+    fits::observe(&server, folder.path());
+    let flags = ["--model", "phong:1", "--backend", "gpu", "--publish-every", "0.001"];
+    let name = fits::submit(&server, "map", &flags);
+    let job = follow_until(&server, &name, |job| !fits::fit_of(job).partial_dataset.is_empty()).await;
+    assert!(fits::fit_of(&job).texels < fits::TEXELS, "not lost half-way: {job:?}");
+    fs::write(&lost, "").unwrap();
+    let job = follow_until(&server, &name, |_| false).await;
+    let error = job.error.clone().unwrap_or_default();
+    assert_eq!((job.state(), error.reason.as_str()), (wire::JobState::Failed, "GPU_UNAVAILABLE"), "{job:?}");
+    assert!(error.message.starts_with("the fit's graphics device:"), "{error:?}");
+    assert_eq!((fits::latest(&server, "map"), fits::latest(&server, "map-partial")), (Some(0), None));
+    assert!(fs::read_dir(folder.path().join("data/staging")).unwrap().next().is_none(), "a failed fit leaves something behind");
+    fs::remove_file(&lost).unwrap();
+    let name = fits::submit(&server, "map", &flags);
+    assert_eq!(follow_until(&server, &name, |_| false).await.state(), wire::JobState::Succeeded);
+}
+
 #[tokio::test]
 async fn viewers_see_on_while_the_graphics_device_is_lost_and_after_another_was_opened() {
     let folder = temporary_folder();
     let lost = folder.path().join("lost");
-    install_layer(folder.path());
-    let mut command = Command::new(binary("lumisphere-server"));
-    command.env("VK_LAYER_PATH", folder.path()).env("VK_INSTANCE_LAYERS", "VK_LAYER_LUMISPHERE_lost_device").env("LOST_DEVICE", &lost);
-    let server = Server::spawn(&mut command, &folder.path().join("data"));
+    let server = start(folder.path(), &lost);
     if !has_adapter(&server) {
         return;
     }

@@ -62,7 +62,8 @@ const LIBRARY: [(&str, &[&str]); 16] = [
     // Pages are numbers to both.
     ("gpu", &["textures"]),
     // Statistics and linear algebra over functions of direction: a channel is a number.
-    ("fitting", &["directions"]),
+    // On the device, too.
+    ("fitting", &["directions", "gpu"]),
     // Readers of foreign formats give meshes and patches, which `scenes` places; importers of captures are to follow in `capture`.
     ("formats", &["geometry", "directions", "radiometry", "images"]),
     ("scenes", &["formats", "geometry", "directions", "radiometry", "images"]),

@@ -322,6 +322,15 @@ enum Response {
     Linear,
 }
 
+/// What fits single lobes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum FitBackend {
+    /// The processor
+    Cpu,
+    /// A graphics adapter: the same but for rounding; an error where there is none
+    Gpu,
+}
+
 /// Flags of `submit fit`.
 #[derive(Debug, Args)]
 pub struct FitArguments {
@@ -352,6 +361,9 @@ pub struct FitArguments {
     /// What the version may take at most, such as 20MB: models are smaller where that costs least
     #[arg(long, value_name = "BYTES", value_parser = parse_bytes)]
     max_bytes: Option<u64>,
+    /// What fits single lobes; everything else is the CPU's, which stands in for no GPU
+    #[arg(long, value_enum, default_value = "cpu")]
+    backend: FitBackend,
     /// Publish what is fitted so far as dataset NAME-partial after so many seconds each, later where publishing is slow; it goes when the job has ended
     #[arg(long, value_name = "SECONDS", default_value_t = 0.0, hide_default_value = true)]
     publish_every: f32,
@@ -566,6 +578,11 @@ async fn submit_fit(context: &Context, arguments: &FitArguments) -> anyhow::Resu
             other => other.unwrap_or(0),
         },
         publish_every_seconds: arguments.publish_every,
+        backend: match arguments.backend {
+            FitBackend::Cpu => wire::Backend::Cpu,
+            FitBackend::Gpu => wire::Backend::Gpu,
+        }
+        .into(),
         pixel_format: arguments.pixel_format.to_wire().into(),
         codec: codec_message(arguments.codec).into(),
     };
@@ -695,7 +712,8 @@ fn job_text(job: &views::Job) -> String {
 
 /// How a fit was asked for.
 fn fit_settings_text(settings: &views::FitSettings) -> String {
-    let switches = [(settings.reject_outliers, "outliers rejected"), (settings.polish, "polished")];
+    let is_on_gpu = settings.backend == "gpu";
+    let switches = [(settings.reject_outliers, "outliers rejected"), (settings.polish, "polished"), (is_on_gpu, "on the GPU")];
     let bound = settings.max_bytes.map(|bytes| format!("at most {}", bytes_text(bytes)));
     let models = std::iter::once(format!("models {}", settings.models));
     let on = switches.iter().filter(|(is_on, _)| *is_on).map(|(_, name)| name.to_string());

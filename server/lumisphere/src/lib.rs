@@ -2,7 +2,7 @@
 //!
 //! The library is usable alone, without the server and (`default-features = false`) without a GPU. It does not print,
 //! read the environment or know the wire. Modules may import only from the left of this list; a test reads the `use` lines:
-//! `geometry` ← `directions`, `radiometry`, `images` ← `charts`, `scenes`, `textures`, `raytrace`, `fitting`, `gpu`, `capture`, `formats`
+//! `geometry` ← `directions`, `radiometry`, `images` ← `charts`, `scenes`, `textures`, `raytrace`, `gpu`, `fitting`, `capture`, `formats`
 //! ← `representations` ← `render`, `evaluate`.
 //!
 //! Conventions: right-handed world, +Y up; cameras look along −Z; radiance is linear Rec. 709, f32; directions are unit

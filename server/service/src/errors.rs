@@ -258,6 +258,7 @@ impl From<FitError> for ApiError {
             FitError::Settings(_) | FitError::Harmonics(_) => Self::field("spec.fit", error),
             FitError::MaxBytes { .. } => Self::field("spec.fit.max_bytes", error),
             FitError::TooLarge { .. } => Self::field("spec.fit.models", error),
+            FitError::Device(_) => Self::new(Reason::GpuUnavailable, error.to_string()),
             FitError::Cancelled(error) => error.into(),
             FitError::Store(error) => error.into(),
             FitError::Parts(error) => Self::internal(error),

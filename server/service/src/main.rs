@@ -131,8 +131,14 @@ fn assemble(effective: Effective, runtime: &tokio::runtime::Handle) -> anyhow::R
     let truths = RenderQueue::start(config.render_queue_length, "trace", move || Tracers::new(store.clone(), scene_bytes))?;
     let frames = Frames::new(queue, truths, metrics.clone());
     let limits = SpecLimits { max_pixels: config.max_pixels_per_frame, max_cameras: config.max_cameras_per_job };
-    let work =
-        Work { catalog: catalog.clone(), frames: frames.clone(), runtime: runtime.clone(), limits, scene_bytes: config.job_scene_bytes };
+    let work = Work {
+        catalog: catalog.clone(),
+        frames: frames.clone(),
+        runtime: runtime.clone(),
+        limits,
+        scene_bytes: config.job_scene_bytes,
+        backend: config.backend,
+    };
     let job_limits = JobLimits {
         concurrent: config.max_concurrent_jobs,
         queued: config.max_queued_jobs,

@@ -19,6 +19,7 @@ use lumisphere::textures::ContentHash;
 use tokio::runtime::Handle;
 
 use crate::catalog::{Catalog, OpenedVersion};
+use crate::config::BackendChoice;
 use crate::errors::ApiError;
 use crate::frames::{Caller, FrameOrder, Frames};
 use crate::jobs::{Attempt, JobBody, Outcome, ResultBlob, cancelled};
@@ -28,6 +29,8 @@ use crate::still::Still;
 use crate::wire::frames::EncodedFrame;
 use crate::wire::jobs::{JobSpec, SpecLimits, job_spec, recalled};
 use crate::wire::scenes::SceneSource;
+
+pub use self::fit::no_adapter_to_fit_on;
 
 /// What jobs work with. Runs on the jobs' own threads, never on a tokio worker.
 pub struct Work {
@@ -41,6 +44,8 @@ pub struct Work {
     pub limits: SpecLimits,
     /// Memory that the scene of one job may take.
     pub scene_bytes: u64,
+    /// Whether a graphics adapter may be used.
+    pub backend: BackendChoice,
 }
 
 impl JobBody for Work {

@@ -8,10 +8,13 @@
 //! taskset -c 0 cargo bench -p lumisphere --no-default-features --bench fitting
 //! cargo bench -p lumisphere --no-default-features --bench fitting -- threads
 //! taskset -c 0 cargo bench -p lumisphere --no-default-features --bench fitting -- whole
+//! cargo bench -p lumisphere --bench fitting -- gpu
 //! ```
 //! `CERES_LOBES` and `SCIPY_PYTHON` name the rivals when they lie elsewhere. A missing one fails the benchmark. Times are processor time,
 //! medians of several runs; noise is .005 of full scale.
 
+#[cfg(feature = "gpu")]
+mod device;
 mod maps;
 mod rivals;
 mod whole;
@@ -49,6 +52,11 @@ fn main() {
     }
     if wants("whole") {
         whole::report(&folder);
+    }
+    // Where there is an adapter.
+    #[cfg(feature = "gpu")]
+    if parts.iter().any(|part| part == "gpu") {
+        device::report();
     }
 }
 

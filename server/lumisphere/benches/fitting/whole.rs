@@ -14,7 +14,7 @@ use lumisphere::directions::Scheme;
 use lumisphere::fitting::{Lobe, Model, Outliers, Precision};
 use lumisphere::geometry::TriangleMesh;
 use lumisphere::progress::Unattended;
-use lumisphere::representations::parameter_map::{ConstructSettings, FitSource, construct};
+use lumisphere::representations::parameter_map::{ConstructSettings, FitSource, Solver, construct};
 use lumisphere::scenes::Environment;
 use lumisphere::textures::{Codec, PageId, PixelFormat, Publication, Store, StoreOptions};
 use rand::{RngExt, SeedableRng};
@@ -41,7 +41,7 @@ pub fn report(folder: &Path) {
     store.create_dataset("map").expect("an empty folder");
     let staging = store.stage("map", "bench").expect("an empty folder");
     let read = |page| seen.read_page(page).map(Arc::new);
-    let source = FitSource { map: &map, read: &read, name: "seen", beside_bytes: 0 };
+    let source = FitSource { map: &map, read: &read, name: "seen", beside_bytes: 0, solver: Solver::Processor };
     let settings = ConstructSettings {
         models: "phong:1".parse().expect("a name"),
         noise_floor: Some(NOISE),

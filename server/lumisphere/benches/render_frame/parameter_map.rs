@@ -11,7 +11,9 @@ use lumisphere::geometry::{Camera, Intrinsics, Pose};
 use lumisphere::progress::Unattended;
 use lumisphere::render::{Backend, Refine, Renderer, Representation, Settings};
 use lumisphere::representations::CachedPages;
-use lumisphere::representations::parameter_map::{self, ConstructSettings, FitSource, Settings as MapSettings, construct, from_parts};
+use lumisphere::representations::parameter_map::{
+    self, ConstructSettings, FitSource, Settings as MapSettings, Solver, construct, from_parts,
+};
 use lumisphere::scenes::{BuiltinOptions, builtin};
 use lumisphere::textures::{Cache, CacheOptions, Codec, DatasetVersion, PixelFormat, Publication, Store, StoreOptions};
 
@@ -114,7 +116,7 @@ fn fitted(store: &Store, models: &str, (seen, observed): (&Arc<DatasetVersion>, 
         drop(store.create_dataset(&dataset));
         let staging = store.stage(&dataset, "bench").expect("nobody else writes it");
         let read = |page| seen.read_page(page).map(Arc::new);
-        let source = FitSource { map: observed, read: &read, name: "seen", beside_bytes: 0 };
+        let source = FitSource { map: observed, read: &read, name: "seen", beside_bytes: 0, solver: Solver::Processor };
         let (parameters, _) = construct(&source, &settings, &staging, &Unattended).expect("a fit");
         staging.publish(publication("parameter_map", serde_json::to_value(parameters).expect("plain numbers"))).expect("room on the disk")
     })

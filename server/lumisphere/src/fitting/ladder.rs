@@ -9,8 +9,9 @@ use super::lane_list::in_groups;
 use super::lanes::{GROUP, Row};
 use super::lobes::flat::Rungs;
 use super::lobes::question::{Lobes, MAX_LOBES, Question, Stop};
-use super::lobes::scan::{Candidates, EXPONENTS, Scratch};
+use super::lobes::scan::{EXPONENTS, Look, Scratch};
 use super::lobes::{self, Numbers};
+use super::one_lobe::OneLobe;
 use super::sample::Weights;
 use super::selection::Criterion;
 use super::settings::{Choice, Rung, Settings, Starts};
@@ -45,7 +46,7 @@ pub struct Climb {
     /// Smallest criterion of all other rungs.
     pub runner_up: f64,
     /// The highest rung fitted: where the next starts.
-    top: Candidate,
+    pub top: Candidate,
 }
 
 impl Climb {
@@ -60,7 +61,13 @@ impl Climb {
 }
 
 /// Fits these texels of a tile.
-pub fn climb(tile: &Tile, texels: &[usize], settings: &Settings, scratch: &mut Vec<Scratch>) -> Vec<Climb> {
+pub fn climb<O: OneLobe>(
+    tile: &Tile,
+    texels: &[usize],
+    settings: &Settings,
+    one_lobe: &O,
+    scratch: &mut Vec<Scratch>,
+) -> Result<Vec<Climb>, O::Error> {
     let mut climbs = flat_rungs(tile, texels, settings);
     let highest = match settings.choice {
         Choice::Auto { lobes_at_most } => lobes_at_most,
@@ -73,11 +80,19 @@ pub fn climb(tile: &Tile, texels: &[usize], settings: &Settings, scratch: &mut V
         if climbing.is_empty() {
             break;
         }
-        let tasks = starts(tile, &climbs, &climbing, count, settings, scratch);
+        let peaks = if settings.starts == Starts::Exactly(1) { 1 } else { 3 };
+        let looks = match count {
+            1 => one_lobe.look(tile, &climbs, &climbing, peaks, scratch)?,
+            _ => look(tile, &climbs, &climbing, count, peaks, scratch),
+        };
+        let tasks = starts(tile, &climbs, &climbing, count, settings, &looks, peaks);
         // One start each of the model asked for goes all the way; where starts or rungs compete, only the winner does.
         let competing = tasks.len() > climbing.len() || matches!(settings.choice, Choice::Auto { .. });
         let stop = if competing || count < highest { EXPLORE } else { stop(settings) };
-        let polished = polish(tile, &tasks, count, settings, Numbers::Single, stop);
+        let polished = match count {
+            1 => one_lobe.polish(tile, &tasks, settings, stop)?,
+            _ => polish(tile, &tasks, count, settings, Numbers::Single, stop),
+        };
         unfinished |= competing;
         for (i, candidate) in winners(tile, &climbs, &tasks, polished, settings) {
             let climb = &mut climbs[i];
@@ -89,14 +104,19 @@ pub fn climb(tile: &Tile, texels: &[usize], settings: &Settings, scratch: &mut V
         }
     }
     if unfinished {
-        polish_best(tile, &mut climbs, settings, Numbers::Single, stop(settings));
+        let all: Vec<usize> = (0..climbs.len()).collect();
+        polish_these(tile, &mut climbs, &all, settings, one_lobe)?;
     }
-    climbs
+    Ok(climbs)
 }
 
 /// The last steps from f32's digits to f64's, quadratically.
 pub fn polish_double(tile: &Tile, climbs: &mut [Climb], settings: &Settings) {
-    polish_best(tile, climbs, settings, Numbers::Double, LAST_DIGITS);
+    for count in 1..=MAX_LOBES {
+        let tasks = of_count(climbs, 0..climbs.len(), count);
+        let polished = polish(tile, &tasks, count, settings, Numbers::Double, LAST_DIGITS);
+        keep(climbs, &tasks, polished);
+    }
 }
 
 fn stop(settings: &Settings) -> Stop {
@@ -159,34 +179,40 @@ pub struct Task {
     pub linear: [[f32; 3]; MAX_LOBES + 1],
 }
 
-/// Starts of a rung, for the texels for which a look at the residuals does not rule it out.
-fn starts(tile: &Tile, climbs: &[Climb], climbing: &[usize], count: usize, settings: &Settings, scratch: &mut Vec<Scratch>) -> Vec<Task> {
-    let mut tasks = Vec::new();
+/// What one more lobe than `count − 1` would gain, for each that climbs.
+pub fn look(tile: &Tile, climbs: &[Climb], climbing: &[usize], count: usize, peaks: usize, scratch: &mut Vec<Scratch>) -> Vec<Look> {
+    let mut looks = vec![Look::NONE; climbing.len()];
     for lanes in in_groups(climbing.iter().map(|&i| climbs[i].texel)) {
         let (group, _) = tile.gather(&lanes.texels);
         let mut shape = Lobes::NONE;
         for (lane, i) in lanes.wanted() {
             climbs[climbing[i]].top.put(&mut shape, lane);
         }
-        let peaks = if settings.starts == Starts::Exactly(1) { 1 } else { 3 };
         let found = lobes::candidates(count - 1, &group, &shape, peaks, scratch);
-        for (lane, i) in lanes.wanted() {
-            let climb = &climbs[climbing[i]];
-            let ranked = ranked(&found, peaks, lane);
-            if rules_out(climb, count, ranked[0].gain, settings) {
-                continue;
-            }
-            let views = tile.texels()[climb.texel].views;
-            let number = number_of_starts(&ranked, views, settings);
-            for place in &ranked[..number.min(ranked.len())] {
-                let mut start = climb.top.shape;
-                start.axis[count - 1] = place.axis;
-                start.log_exponent[count - 1] = place.log_exponent;
-                tasks.push(Task { climb: climbing[i], texel: climb.texel, start, linear: climb.top.linear });
-            }
-            if let Some(start) = split(&climb.top, &ranked).filter(|_| settings.starts == Starts::Adaptive) {
-                tasks.push(Task { climb: climbing[i], texel: climb.texel, start, linear: climb.top.linear });
-            }
+        lanes.wanted().for_each(|(lane, i)| looks[i] = found.of_lane(lane));
+    }
+    looks
+}
+
+/// Starts of a rung, for the texels for which a look at the residuals does not rule it out.
+fn starts(tile: &Tile, climbs: &[Climb], climbing: &[usize], count: usize, settings: &Settings, looks: &[Look], peaks: usize) -> Vec<Task> {
+    let mut tasks = Vec::new();
+    for (&i, look) in climbing.iter().zip(looks) {
+        let climb = &climbs[i];
+        let ranked = ranked(look, peaks);
+        if rules_out(climb, count, ranked[0].gain, settings) {
+            continue;
+        }
+        let views = tile.texels()[climb.texel].views;
+        let number = number_of_starts(&ranked, views, settings);
+        for place in &ranked[..number.min(ranked.len())] {
+            let mut start = climb.top.shape;
+            start.axis[count - 1] = place.axis;
+            start.log_exponent[count - 1] = place.log_exponent;
+            tasks.push(Task { climb: i, texel: climb.texel, start, linear: climb.top.linear });
+        }
+        if let Some(start) = split(&climb.top, &ranked).filter(|_| settings.starts == Starts::Adaptive) {
+            tasks.push(Task { climb: i, texel: climb.texel, start, linear: climb.top.linear });
         }
     }
     tasks
@@ -227,13 +253,13 @@ struct Place {
 }
 
 /// The best two exponents of every peak and of the first one's centroid, best first.
-fn ranked(found: &Candidates, peaks: usize, lane: usize) -> Vec<Place> {
+fn ranked(look: &Look, peaks: usize) -> Vec<Place> {
     let mut places = Vec::with_capacity(2 * peaks + 2);
     for at in 0..=peaks {
-        let gain = found.gain[at].map(|row| row[lane]);
+        let gain = look.gain[at];
         let mut order: [usize; EXPONENTS.len()] = std::array::from_fn(|k| k);
         order.sort_by(|&a, &b| gain[b].total_cmp(&gain[a]));
-        let axis = found.place[at].map(|row| row[lane]);
+        let axis = look.place[at];
         for (rank, &k) in order[..2].iter().enumerate() {
             let log_exponent = if rank == 0 { between(&gain, k) } else { EXPONENTS[k].ln() };
             places.push(Place { axis, log_exponent, gain: gain[k], peak: at % peaks });
@@ -312,31 +338,46 @@ pub fn polish(tile: &Tile, tasks: &[Task], count: usize, settings: &Settings, nu
 }
 
 /// Fits the best rung of some climbs again, from where it stands, after their weights have changed.
-pub fn refit(tile: &Tile, climbs: &mut [Climb], these: &[usize], settings: &Settings, scratch: &mut Vec<Scratch>) {
+pub fn refit<O: OneLobe>(
+    tile: &Tile,
+    climbs: &mut [Climb],
+    these: &[usize],
+    settings: &Settings,
+    one_lobe: &O,
+    scratch: &mut Vec<Scratch>,
+) -> Result<(), O::Error> {
     for rung in [Rung::Constant, Rung::CosinePower] {
         let flat: Vec<usize> = these.iter().copied().filter(|&i| climbs[i].best.rung == rung).collect();
         let texels: Vec<usize> = flat.iter().map(|&i| climbs[i].texel).collect();
-        let again = climb(tile, &texels, &Settings { choice: Choice::Exactly(rung), ..*settings }, scratch);
+        let again = climb(tile, &texels, &Settings { choice: Choice::Exactly(rung), ..*settings }, one_lobe, scratch)?;
         flat.iter().zip(again).for_each(|(&i, again)| climbs[i].best = again.best);
     }
-    polish_these(tile, climbs, these, settings, Numbers::Single, stop(settings));
+    polish_these(tile, climbs, these, settings, one_lobe)
 }
 
-fn polish_best(tile: &Tile, climbs: &mut [Climb], settings: &Settings, numbers: Numbers, stop: Stop) {
-    let all: Vec<usize> = (0..climbs.len()).collect();
-    polish_these(tile, climbs, &all, settings, numbers, stop);
-}
-
-fn polish_these(tile: &Tile, climbs: &mut [Climb], these: &[usize], settings: &Settings, numbers: Numbers, stop: Stop) {
+/// All the way, from where they stand.
+fn polish_these<O: OneLobe>(tile: &Tile, climbs: &mut [Climb], these: &[usize], settings: &Settings, one_lobe: &O) -> Result<(), O::Error> {
     for count in 1..=MAX_LOBES {
-        let of_count = these.iter().copied().filter(|&i| climbs[i].best.lobes() == count);
-        let tasks: Vec<Task> = of_count
-            .map(|i| Task { climb: i, texel: climbs[i].texel, start: climbs[i].best.shape, linear: climbs[i].best.linear })
-            .collect();
-        for (task, polished) in tasks.iter().zip(polish(tile, &tasks, count, settings, numbers, stop)) {
-            let best = &mut climbs[task.climb].best;
-            let (initial_cost, iterations) = (best.initial_cost, best.iterations + polished.iterations);
-            *best = Candidate { initial_cost, iterations, ..polished };
-        }
+        let tasks = of_count(climbs, these.iter().copied(), count);
+        let polished = match count {
+            1 => one_lobe.polish(tile, &tasks, settings, stop(settings))?,
+            _ => polish(tile, &tasks, count, settings, Numbers::Single, stop(settings)),
+        };
+        keep(climbs, &tasks, polished);
+    }
+    Ok(())
+}
+
+/// Those of the climbs whose best has `count` lobes.
+fn of_count(climbs: &[Climb], these: impl Iterator<Item = usize>, count: usize) -> Vec<Task> {
+    let of_count = these.filter(|&i| climbs[i].best.lobes() == count);
+    of_count.map(|i| Task { climb: i, texel: climbs[i].texel, start: climbs[i].best.shape, linear: climbs[i].best.linear }).collect()
+}
+
+fn keep(climbs: &mut [Climb], tasks: &[Task], polished: Vec<Candidate>) {
+    for (task, polished) in tasks.iter().zip(polished) {
+        let best = &mut climbs[task.climb].best;
+        let (initial_cost, iterations) = (best.initial_cost, best.iterations + polished.iterations);
+        *best = Candidate { initial_cost, iterations, ..polished };
     }
 }

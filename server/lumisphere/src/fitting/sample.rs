@@ -1,9 +1,12 @@
 //! The kernels' view of a sample, 16 texels side by side: direction, values scaled to about one, and the square root of its weight.
 
+use bytemuck::{Pod, Zeroable};
+
 use super::lanes::{GROUP, Row};
 
-/// One observation of 16 texels as the kernels read it.
-#[derive(Clone, Copy)]
+/// One observation of 16 texels as the kernels read it, the device's too: rows of 16 numbers in this order.
+#[derive(Clone, Copy, Pod, Zeroable)]
+#[repr(C)]
 pub struct Sample {
     /// Unit direction.
     pub direction: [Row; 3],

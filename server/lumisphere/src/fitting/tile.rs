@@ -2,6 +2,7 @@
 //! that still climb take part.
 
 use std::borrow::Cow;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::batch::Observation;
 use super::lanes::{GROUP, Row};
@@ -36,12 +37,21 @@ pub struct Tile<'a> {
     source: &'a [Vec<Observation>],
     groups: Vec<Vec<Sample>>,
     texels: Vec<Texel>,
+    stamp: u64,
+}
+
+/// Of what tiles have held so far.
+static STAMPS: AtomicU64 = AtomicU64::new(0);
+
+fn next_stamp() -> u64 {
+    STAMPS.fetch_add(1, Ordering::Relaxed)
 }
 
 impl<'a> Tile<'a> {
     /// Scales and weighs. Clipped values weigh nothing at first.
     pub fn new(source: &'a [Vec<Observation>], texels: usize, noise: Noise) -> Self {
-        let mut tile = Self { source, groups: Vec::with_capacity(source.len()), texels: vec![Texel::default(); source.len() * GROUP] };
+        let texels_known = vec![Texel::default(); source.len() * GROUP];
+        let mut tile = Self { source, groups: Vec::with_capacity(source.len()), texels: texels_known, stamp: next_stamp() };
         for (g, observations) in source.iter().enumerate() {
             let known = &mut tile.texels[g * GROUP..][..GROUP];
             let scale = scales(observations);
@@ -67,6 +77,18 @@ impl<'a> Tile<'a> {
         &self.texels
     }
 
+    /// Another for everything that any tile ever held: what was copied elsewhere is still the same under the same stamp.
+    #[cfg_attr(not(feature = "gpu"), expect(dead_code, reason = "only a device holds copies"))]
+    pub fn stamp(&self) -> u64 {
+        self.stamp
+    }
+
+    /// The samples of all groups.
+    #[cfg_attr(not(feature = "gpu"), expect(dead_code, reason = "only a device holds copies"))]
+    pub fn groups(&self) -> &[Vec<Sample>] {
+        &self.groups
+    }
+
     /// The samples of a texel's group, and its lane there.
     pub fn place(&self, texel: usize) -> (&[Sample], usize) {
         (&self.groups[texel / GROUP], texel % GROUP)
@@ -80,6 +102,7 @@ impl<'a> Tile<'a> {
     /// Gives the samples of a texel new weights, as their roots.
     pub fn reweigh(&mut self, texel: usize, mut root_weight: impl FnMut(usize, usize, f32) -> f32) {
         let (g, lane) = (texel / GROUP, texel % GROUP);
+        self.stamp = next_stamp();
         for (i, sample) in self.groups[g].iter_mut().enumerate() {
             for c in 0..3 {
                 sample.root_weight[c][lane] = root_weight(i, c, sample.root_weight[c][lane]);

@@ -1,6 +1,7 @@
 //! Long work.
 
 use lumisphere::capture::observation_map::OBSERVATION_MAP;
+use lumisphere::render::Backend;
 use lumisphere::representations::Kind;
 use lumisphere::textures::ContentHash;
 use tokio::sync::{mpsc, watch};
@@ -15,6 +16,7 @@ use crate::wire::jobs::{JobSpec, digest, job, job_event, job_spec, listed_job, r
 use crate::wire::proto::{self, jobs_server::Jobs};
 use crate::wire::settings::check_kind;
 use crate::wire::{self};
+use crate::work::no_adapter_to_fit_on;
 
 #[tonic::async_trait]
 impl Jobs for Api {
@@ -90,6 +92,7 @@ fn submit(app: &App, message: Option<proto::JobSpec>, id: String) -> Result<JobV
             check_blobs(app, observe.source.blobs(), "what is observed")?;
             Some(observe.dataset.clone())
         }
+        JobSpec::Fit(fit) if fit.backend == Backend::Gpu && app.adapter.is_none() => return Err(no_adapter_to_fit_on()),
         JobSpec::Fit(fit) => Some(fit.dataset.clone()),
         JobSpec::Thin(thin) => Some(thin.into.clone()),
         JobSpec::Evaluate(_) | JobSpec::PathRender(_) | JobSpec::Suggest(_) => None,

@@ -7,6 +7,7 @@ use lumisphere::directions::{Scheme, SchemeError};
 use lumisphere::evaluate::ThinMetric;
 use lumisphere::fitting::{Outliers, Precision};
 use lumisphere::geometry::Camera;
+use lumisphere::render::Backend;
 use lumisphere::representations::offset_surface_light_field::Spacing;
 use lumisphere::representations::parameter_map::{self, AllowedModels, MOST_CANDIDATES, MOST_SUGGESTIONS, SuggestSettings};
 use lumisphere::textures::{Codec, ContentHash, PixelFormat};
@@ -273,6 +274,8 @@ pub struct FitSpec {
     pub settings: parameter_map::ConstructSettings,
     /// Between two partial maps, and the dataset that gets them; None: none.
     pub partial: Option<(Duration, String)>,
+    /// What fits single lobes.
+    pub backend: Backend,
 }
 
 /// Parameter map to directions.
@@ -637,11 +640,17 @@ fn fit(m: proto::FitSpec, field: &str) -> Result<FitSpec, ApiError> {
         Ok::<_, ApiError>((every, dataset_name(&format!("{dataset}{PARTIAL}"), &field)?))
     };
     let partial = (m.publish_every_seconds != 0.0).then(partial).transpose()?;
+    let backend = match proto::Backend::try_from(m.backend) {
+        Ok(proto::Backend::Unspecified | proto::Backend::Cpu) => Backend::Cpu,
+        Ok(proto::Backend::Gpu) => Backend::Gpu,
+        Err(_) => return Err(ApiError::field(at("backend"), format!("{}, GPU or CPU expected", m.backend))),
+    };
     Ok(FitSpec {
         observations: dataset_name(&m.observations, &at("observations"))?,
         version: m.version,
         dataset,
         partial,
+        backend,
         settings: parameter_map::ConstructSettings {
             models,
             outliers: if m.reject_outliers { Outliers::Reject } else { Outliers::Keep },

@@ -1,14 +1,18 @@
 //! Observation map to parameter map.
 
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
+use lumisphere::fitting::LobeKernel;
+use lumisphere::gpu::{Gpu, GpuError};
 use lumisphere::progress::Progress;
+use lumisphere::render::Backend;
 use lumisphere::representations::Kind;
-use lumisphere::representations::parameter_map::{FitError, FitSource, FitSummary, FollowFit, Parameters, PartialMap, construct};
+use lumisphere::representations::parameter_map::{FitError, FitSource, FitSummary, FollowFit, Parameters, PartialMap, Solver, construct};
 use lumisphere::textures::{Manifest, Publication, Staging, StoreError};
 
 use super::Work;
+use crate::config::BackendChoice;
 use crate::errors::{ApiError, Reason};
 use crate::jobs::record::now_millis;
 use crate::jobs::{Attempt, FitSoFar, Outcome};
@@ -49,9 +53,9 @@ impl Work {
         if let Some((_, dataset)) = &spec.partial {
             self.check_partial(dataset, attempt)?;
         }
-        let read = |page| pages.read_page(page).map(std::sync::Arc::new);
+        let read = |page| pages.read_page(page).map(Arc::new);
         let beside_bytes = REPORT_BYTES + origin.as_ref().map_or(0, |origin| origin.len() as u64);
-        let source = FitSource { map: &map, read: &read, name: &name, beside_bytes };
+        let source = FitSource { map: &map, read: &read, name: &name, beside_bytes, solver: self.solver(spec.backend)? };
         let follower = Follower {
             work: self,
             spec,
@@ -70,6 +74,21 @@ impl Work {
         }
         staging.put_blob(REPORT, &report)?;
         publication(&parameters, manifest)
+    }
+
+    // On the adapter that the renderer would take, but a device of the job's own: neither waits for the other, and one's failure is not the other's.
+    fn solver(&self, backend: Backend) -> Result<Solver, ApiError> {
+        match (backend, self.backend) {
+            (Backend::Cpu, _) => return Ok(Solver::Processor),
+            // As the job was submitted there was one.
+            (Backend::Gpu, BackendChoice::Cpu) => return Err(no_adapter_to_fit_on()),
+            (Backend::Gpu, BackendChoice::Auto | BackendChoice::Gpu) => {}
+        }
+        let kernel = Gpu::new().and_then(|gpu| LobeKernel::new(Arc::new(gpu)));
+        kernel.map(|kernel| Solver::Device(Arc::new(kernel))).map_err(|error| match error {
+            GpuError::NoAdapter { .. } => no_adapter_to_fit_on(),
+            error => FitError::Device(error).into(),
+        })
     }
 
     // A dataset of that name may only be what an earlier attempt has shown.
@@ -91,6 +110,11 @@ impl Work {
             tracing::warn!(%error, dataset, "cannot delete the partial map of a fit that has ended");
         }
     }
+}
+
+/// A fit on the GPU where there is none.
+pub fn no_adapter_to_fit_on() -> ApiError {
+    ApiError::field("spec.fit.backend", "GPU, CPU expected: this server uses no graphics adapter")
 }
 
 const VERSION: &str = " version ";

@@ -39,7 +39,26 @@ pub struct Candidates {
     pub gain: [[Row; EXPONENTS.len()]; MAX_PLACES],
 }
 
+/// Candidates of one texel.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Look {
+    /// Unit directions.
+    pub place: [[f32; 3]; MAX_PLACES],
+    /// By how much the sum of squares would fall, per place and exponent.
+    pub gain: [[f32; EXPONENTS.len()]; MAX_PLACES],
+}
+
+impl Look {
+    /// None yet.
+    pub const NONE: Self = Self { place: [[0.0; 3]; MAX_PLACES], gain: [[0.0; EXPONENTS.len()]; MAX_PLACES] };
+}
+
 impl Candidates {
+    /// Those of one lane.
+    pub fn of_lane(&self, lane: usize) -> Look {
+        Look { place: self.place.map(|rows| rows.map(|row| row[lane])), gain: self.gain.map(|rows| rows.map(|row| row[lane])) }
+    }
+
     /// None yet.
     pub const NONE: Self = Self { place: [[[0.0; GROUP]; 3]; MAX_PLACES], gain: [[[0.0; GROUP]; EXPONENTS.len()]; MAX_PLACES] };
 }

@@ -4,6 +4,8 @@
 mod cases;
 mod damage;
 mod lights;
+#[cfg(feature = "gpu")]
+mod on_device;
 mod selection;
 mod suggest;
 mod views;

@@ -11,15 +11,19 @@ use thiserror::Error;
 
 use super::budget::{Keeping, Savings};
 use super::kept_models::KeptModels;
-use super::models::{AllowedModels, FittedTexel, HowToFit, Rungs, fit_texels};
+use super::models::{AllowedModels, FittedTexel, HowToFit, Observed, Rungs, Solver, fit_texels};
 use super::packed_pages::{Packed, StorePage, pack};
 use super::registration::{Comparison, Registration, Tile};
 use super::summary::{BudgetReport, FitSummary, Tally};
 use super::{ModelCode, ParameterMap, Parameters, PartialFit, TexelTable, to_parts};
 use crate::capture::PartsError;
 use crate::capture::observation_map::{Observation, ObservationMap, ObservedTexel, State, TEXELS_PER_PAGE};
+#[cfg(feature = "gpu")]
+use crate::fitting::DeviceFitError;
 use crate::fitting::harmonics::HarmonicsFitError;
 use crate::fitting::{Model, Noise, Outliers, Precision, SettingsError, spread};
+#[cfg(feature = "gpu")]
+use crate::gpu::GpuError;
 use crate::progress::{Cancelled, Progress, Unattended};
 use crate::textures::{Codec, Page, PageId, PixelFormat, Staging, StoreError};
 
@@ -54,6 +58,8 @@ pub struct FitSource<'a> {
     pub name: &'a str,
     /// What the caller will store beside the map, at most.
     pub beside_bytes: u64,
+    /// What fits single lobes.
+    pub solver: Solver,
 }
 
 /// Reads a page of observations.
@@ -92,6 +98,10 @@ pub enum FitError {
     /// No fit can be made with such models or noise.
     #[error(transparent)]
     Settings(#[from] SettingsError),
+    /// The graphics device that was to fit is lost, out of memory, or answers with what is no lobe.
+    #[cfg(feature = "gpu")]
+    #[error("the fit's graphics device: {0}")]
+    Device(GpuError),
     /// No fit can be made with so many harmonics.
     #[error(transparent)]
     Harmonics(#[from] HarmonicsFitError),
@@ -124,6 +134,16 @@ pub enum FitError {
     /// A part cannot be encoded.
     #[error(transparent)]
     Parts(#[from] PartsError),
+}
+
+#[cfg(feature = "gpu")]
+impl From<DeviceFitError> for FitError {
+    fn from(error: DeviceFitError) -> Self {
+        match error {
+            DeviceFitError::Settings(error) => Self::Settings(error),
+            DeviceFitError::Device(error) => Self::Device(error),
+        }
+    }
 }
 
 // Pages of observations fitted side by side: enough for the threads, few enough to lose little when killed.
@@ -239,17 +259,26 @@ impl Fit<'_> {
     }
 
     fn batch(&self, batch: usize, how: &HowToFit) -> Result<Vec<FittedTexel>, FitError> {
-        let pages = batch * BATCH..self.source.map.page_count().min((batch + 1) * BATCH);
-        let fitted = pages.into_par_iter().map(|page| self.page(page, how)).collect::<Result<Vec<_>, _>>()?;
-        Ok(fitted.into_iter().flatten().collect())
+        let solver = &self.source.solver;
+        let pages = (batch * BATCH..self.source.map.page_count().min((batch + 1) * BATCH)).into_par_iter();
+        match solver {
+            Solver::Processor => {
+                let fitted = pages.map(|page| fit_texels(&self.page(page)?, how, solver)).collect::<Result<Vec<_>, _>>()?;
+                Ok(fitted.into_iter().flatten().collect())
+            }
+            // All at once: a device wants many.
+            #[cfg(feature = "gpu")]
+            Solver::Device(_) => {
+                let observed = pages.map(|page| self.page(page)).collect::<Result<Vec<_>, _>>()?;
+                fit_texels(&observed.into_iter().flatten().collect::<Vec<_>>(), how, solver)
+            }
+        }
     }
 
-    fn page(&self, page: usize, how: &HowToFit) -> Result<Vec<FittedTexel>, FitError> {
+    fn page(&self, page: usize) -> Result<Vec<Observed<'_>>, FitError> {
         let (map, pixels) = (self.source.map, self.read(page)?);
-        let columns = map.texels_of_page(page);
-        let observed =
-            columns.iter().enumerate().map(|(column, texel)| (texel, observations_of(map, texel, &pixels, column))).collect::<Vec<_>>();
-        fit_texels(&observed, how)
+        let columns = map.texels_of_page(page).iter().enumerate();
+        Ok(columns.map(|(column, texel)| (texel, observations_of(map, texel, &pixels, column))).collect())
     }
 
     /// Which photographs lie beside the others, by some pages' models.

@@ -46,7 +46,7 @@ use crate::textures::{PageId, PageShape, PixelFormat};
 pub use construct::{ConstructSettings, FitError, FitSource, FollowFit, PartialMap, ReadObservations, construct};
 #[cfg(all(test, feature = "gpu"))]
 pub(crate) use kernel::SOURCE as KERNEL_SOURCE;
-pub use models::{AllowedModels, Observed, UnknownModels, fitted_models};
+pub use models::{AllowedModels, Observed, Solver, UnknownModels, fitted_models};
 pub use packing::{ModelCode, Quads};
 pub use registration::{Registration, Shifted};
 pub use storage::{from_parts, to_parts};

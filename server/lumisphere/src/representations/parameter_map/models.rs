@@ -2,6 +2,8 @@
 
 use std::fmt;
 use std::str::FromStr;
+#[cfg(feature = "gpu")]
+use std::sync::Arc;
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -14,6 +16,8 @@ use crate::fitting::{
     Basis, Batch, Choice, Flags, Further, FurtherRung, Model, Noise, Outcome, Outliers, Precision, Rung, Samples as TexelSamples, Settings,
     State, fit_with,
 };
+#[cfg(feature = "gpu")]
+use crate::fitting::{LobeKernel, fit_on};
 
 /// Which models a fit may choose from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -100,6 +104,16 @@ pub(super) struct HowToFit {
     pub rungs: Rungs,
 }
 
+/// What fits single lobes; everything else of a fit is the processor's.
+#[derive(Debug, Clone)]
+pub enum Solver {
+    /// The threads that fit.
+    Processor,
+    /// A graphics device.
+    #[cfg(feature = "gpu")]
+    Device(Arc<LobeKernel>),
+}
+
 /// Which models of a texel are kept.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Rungs {
@@ -144,15 +158,15 @@ impl AllowedModels {
 }
 
 /// The models of some texels, in order. A texel that nobody saw has none.
-pub(super) fn fit_texels(observed: &[Observed<'_>], how: &HowToFit) -> Result<Vec<FittedTexel>, FitError> {
+pub(super) fn fit_texels(observed: &[Observed<'_>], how: &HowToFit, solver: &Solver) -> Result<Vec<FittedTexel>, FitError> {
     let of = |(texel, seen): &Observed<'_>| FittedTexel { index: texel.index, samples: samples(seen), rungs: Vec::new() };
     let mut fitted: Vec<FittedTexel> = observed.iter().map(of).collect();
-    let chosen = rungs(&observed.iter().collect::<Vec<_>>(), how.models.asked(), how)?;
+    let chosen = rungs(&observed.iter().collect::<Vec<_>>(), how.models.asked(), how, solver)?;
     if how.rungs == Rungs::AndSmaller {
         for asked in how.models.stand_ins() {
             let is_larger = |at: &usize| chosen[*at].as_ref().is_some_and(|rung| rung.quads.len() > asked.quads());
             let these: Vec<usize> = (0..observed.len()).filter(is_larger).collect();
-            let smaller = rungs(&these.iter().map(|at| &observed[*at]).collect::<Vec<_>>(), asked, how)?;
+            let smaller = rungs(&these.iter().map(|at| &observed[*at]).collect::<Vec<_>>(), asked, how, solver)?;
             these.iter().zip(smaller).for_each(|(at, rung)| fitted[*at].rungs.extend(rung));
         }
     }
@@ -170,7 +184,7 @@ impl Asked {
     }
 }
 
-fn rungs(observed: &[&Observed<'_>], asked: Asked, how: &HowToFit) -> Result<Vec<Option<FittedRung>>, FitError> {
+fn rungs(observed: &[&Observed<'_>], asked: Asked, how: &HowToFit, solver: &Solver) -> Result<Vec<Option<FittedRung>>, FitError> {
     let choice = match asked {
         Asked::Ladder(choice) => choice,
         Asked::Harmonics(count) => return harmonics(observed, count),
@@ -182,7 +196,12 @@ fn rungs(observed: &[&Observed<'_>], asked: Asked, how: &HowToFit) -> Result<Vec
         batch.push(&directions, &values, &states).expect("three vectors of one length");
     }
     let settings = Settings { outliers: how.outliers, precision: how.precision, ..Settings::new(choice, how.noise) };
-    let outcomes = fit_with(&batch, &settings, Some(&HarmonicsRung::new()))?;
+    let further = HarmonicsRung::new();
+    let outcomes = match solver {
+        Solver::Processor => fit_with(&batch, &settings, Some(&further))?,
+        #[cfg(feature = "gpu")]
+        Solver::Device(kernel) => fit_on(kernel, &batch, &settings, Some(&further))?,
+    };
     let one = |((_, seen), outcome): (&&Observed<'_>, &Outcome)| outcome.fit().and_then(|fit| packed(seen, &fit.model, fit.flags));
     Ok(observed.iter().zip(&outcomes).map(one).collect())
 }
@@ -191,7 +210,7 @@ fn rungs(observed: &[&Observed<'_>], asked: Asked, how: &HowToFit) -> Result<Vec
 pub fn fitted_models(observed: &[Observed<'_>], models: AllowedModels, noise: Noise) -> Result<Vec<Option<Model>>, FitError> {
     let how = HowToFit { models, noise, outliers: Outliers::Keep, precision: Precision::Single, rungs: Rungs::Chosen };
     let model = |texel: FittedTexel| texel.rungs.last().and_then(|rung| ModelCode::from_number(rung.code)?.unpack(&rung.quads));
-    Ok(fit_texels(observed, &how)?.into_iter().map(model).collect())
+    Ok(fit_texels(observed, &how, &Solver::Processor)?.into_iter().map(model).collect())
 }
 
 fn state(state: Seen) -> State {

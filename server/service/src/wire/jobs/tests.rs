@@ -83,6 +83,10 @@ fn a_fit_out_of_range_is_refused_by_field() {
     let settings = &spec.settings;
     assert_eq!((settings.outliers, settings.precision, settings.max_bytes), (Outliers::Keep, Precision::Single, None));
     assert_eq!((settings.models, settings.relative_noise, spec.partial), (AllowedModels::Auto, 0.01, None));
+    assert_eq!(spec.backend, Backend::Cpu);
+    for (asked, backend) in [(proto::Backend::Cpu, Backend::Cpu), (proto::Backend::Gpu, Backend::Gpu)] {
+        assert_eq!(fit(proto::FitSpec { backend: asked.into(), ..good() }, "f").unwrap().backend, backend);
+    }
     let asked = proto::FitSpec { reject_outliers: true, polish: true, max_bytes: 9, publish_every_seconds: 2.5, ..good() };
     let spec = fit(asked, "f").unwrap();
     let settings = &spec.settings;
@@ -95,6 +99,7 @@ fn a_fit_out_of_range_is_refused_by_field() {
     };
     assert!(refused(|f| f.models = "phong:5".into()).starts_with("f.models: models are \"phong:5\""));
     assert!(refused(|f| f.noise_floor = -1.0).starts_with("f.noise_floor: -1"));
+    assert!(refused(|f| f.backend = 3).starts_with("f.backend: 3, GPU or CPU expected"));
     assert!(refused(|f| f.relative_noise = Some(2.0)).starts_with("f.relative_noise: 2"));
     assert!(refused(|f| f.publish_every_seconds = f32::NAN).starts_with("f.publish_every_seconds: NaN"));
     assert!(refused(|f| f.publish_every_seconds = -1.0).starts_with("f.publish_every_seconds: -1"));

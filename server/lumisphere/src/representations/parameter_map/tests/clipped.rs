@@ -5,7 +5,7 @@ use glam::Vec3;
 use crate::capture::observation_map::{Observation, ObservedTexel, State};
 use crate::directions::Scheme;
 use crate::fitting::{Lobe, Model, Noise, Outliers, Precision};
-use crate::representations::parameter_map::models::{HowToFit, Rungs, fit_texels};
+use crate::representations::parameter_map::models::{HowToFit, Rungs, Solver, fit_texels};
 use crate::representations::parameter_map::{AllowedModels, fitted_models};
 
 /// A lobe of nearly twice white over a ground that is white in red, as the thesis' plane is: red says nothing, nowhere.
@@ -42,7 +42,7 @@ fn a_bound_on_bytes_knows_what_a_smaller_model_loses_of_a_highlight_that_is_cut(
     let (models, noise) = (AllowedModels::Phong(1), Noise { floor: 0.002, relative: 0.0 });
     let (outliers, precision) = (Outliers::Keep, Precision::Single);
     let how = HowToFit { models, noise, outliers, precision, rungs: Rungs::AndSmaller };
-    let fitted = fit_texels(&[(&texel, seen.collect())], &how).unwrap();
+    let fitted = fit_texels(&[(&texel, seen.collect())], &how, &Solver::Processor).unwrap();
     let (smallest, chosen) = (&fitted[0].rungs[0], fitted[0].rungs.last().unwrap());
     // Red is white everywhere, so that every observation is cut in a channel and none is whole.
     assert_eq!((fitted[0].samples, smallest.sum_of_squares, chosen.sum_of_squares), (0, 0.0, 0.0));

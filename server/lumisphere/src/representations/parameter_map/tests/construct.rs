@@ -14,7 +14,7 @@ use crate::progress::{Progress, Unattended};
 use crate::representations::parameter_map::construct::compared_pages;
 use crate::representations::parameter_map::{
     AllowedModels, ConstructSettings, FitError, FitSource, FitSummary, FollowFit, ModelCode, PartialFit, PartialMap, ReadObservations,
-    construct, from_parts,
+    Solver, construct, from_parts,
 };
 use crate::scenes::Environment;
 use crate::textures::{Codec, DatasetVersion, Page, PageId, PixelFormat, Publication, Staging, Store, StoreError, StoreOptions};
@@ -37,7 +37,7 @@ fn truth(part: u32, index: u32) -> Model {
     }
 }
 
-fn observations() -> (ObservationMap, Vec<Arc<Page>>) {
+pub(super) fn observations() -> (ObservationMap, Vec<Arc<Page>>) {
     observed_from(&"icosahedron:73".parse::<Scheme>().unwrap().directions())
 }
 
@@ -108,7 +108,7 @@ pub(super) fn settings() -> ConstructSettings {
 }
 
 pub(super) fn source<'a>(map: &'a ObservationMap, read: &'a ReadObservations<'a>) -> FitSource<'a> {
-    FitSource { map, read, name: "sheet", beside_bytes: 0 }
+    FitSource { map, read, name: "sheet", beside_bytes: 0, solver: Solver::Processor }
 }
 
 pub(super) fn publication() -> Publication {
@@ -117,7 +117,7 @@ pub(super) fn publication() -> Publication {
 }
 
 /// Cancels at the n-th question.
-struct CancelAt(usize, AtomicUsize);
+pub(super) struct CancelAt(pub usize, pub AtomicUsize);
 
 impl Progress for CancelAt {
     fn report(&self, _what: &str, _done: u64, _total: u64) {}
@@ -133,7 +133,7 @@ impl FollowFit for CancelAt {
     }
 }
 
-fn everything_of(version: &DatasetVersion) -> (Vec<Vec<f32>>, Vec<u8>) {
+pub(super) fn everything_of(version: &DatasetVersion) -> (Vec<Vec<f32>>, Vec<u8>) {
     let pages = (0..version.manifest().pages.count).map(|p| version.read_page(PageId(p)).unwrap().to_f32()).collect();
     (pages, version.blob("texels").unwrap())
 }

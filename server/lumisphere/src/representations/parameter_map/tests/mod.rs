@@ -5,6 +5,8 @@ mod construct;
 pub(crate) mod fixture;
 #[cfg(feature = "gpu")]
 mod gpu_equals_cpu;
+#[cfg(feature = "gpu")]
+mod on_device;
 mod registration;
 mod suggest;
 
