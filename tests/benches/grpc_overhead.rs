@@ -97,6 +97,7 @@ fn mirror() -> wire::RenderSettings {
         filter: 0,
         gloss: None,
         relighting: None,
+        reflections: 0,
         refraction: None,
     };
     wire::RenderSettings {
