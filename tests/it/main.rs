@@ -30,6 +30,7 @@ mod pictures;
 mod prefetch;
 mod process;
 mod python;
+mod reflections;
 mod relay;
 mod rules;
 mod sessions;
