@@ -89,6 +89,9 @@ pub struct AskedLooks {
     /// As `--refraction-index`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub refraction_index: Option<f32>,
+    /// As `--reflections`; 0 is the server's default.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub reflections: u32,
     /// As `--environment-turn-deg`; None: not turned.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub environment_turn_deg: Option<f32>,
@@ -112,7 +115,14 @@ impl AskedLooks {
             GlossFlags { brdf: self.brdf.clone(), directions: self.directions, passes: 0, integration_order: self.integration_order };
         let light = LightFlags { environment_turn_deg: self.environment_turn_deg.unwrap_or(0.0), point_light: Vec::new() };
         let clear = ClearFlags { refraction_index: self.refraction_index, body: None };
-        settings(component, blend, specular, filter, backend, Looks { gloss: &gloss, light: &light, clear: &clear, reflections: 0 })
+        settings(
+            component,
+            blend,
+            specular,
+            filter,
+            backend,
+            Looks { gloss: &gloss, light: &light, clear: &clear, reflections: self.reflections },
+        )
     }
 }
 
@@ -326,6 +336,7 @@ fn scene_parameters(s: Section) -> Result<Vec<(String, String)>, Failure> {
 struct LookAxes {
     glossy: Vec<AskedLooks>,
     refraction: Vec<AskedLooks>,
+    mirrors: Vec<AskedLooks>,
     others: Vec<AskedLooks>,
 }
 
@@ -335,6 +346,7 @@ impl LookAxes {
         let turns = s.axis("environment_turns_deg", &Expected { text: "-360 to 360", read: &turn })?.unwrap_or(vec![None]);
         let index = |v: &Value| number(v).filter(|x| (1.0..=4.0).contains(x)).map(Some);
         let indices = s.axis("refraction_indices", &Expected { text: "1 to 4", read: &index })?;
+        let reflections = s.axis("reflections", &count("1 to 4", &|v| integer(v, 1, 4)))?;
         let brdf = s.value("brdf", &Expected { text: "a BRDF's JSON, as --brdf,", read: &text })?;
         let brdf = brdf.map(|json| with_table_in(&json, folder)).transpose()?;
         let directions = s.axis("directions", &count("1 to 4096", &|v| integer(v, 1, 4096)))?;
@@ -343,28 +355,31 @@ impl LookAxes {
         if is_glossy != brdf.is_some() {
             return Err(s.error("brdf and the component glossy go together").into());
         }
-        for (given, component, key) in [
-            (directions.is_some(), Component::Glossy, "directions"),
-            (orders.is_some(), Component::Glossy, "integration_orders"),
-            (indices.is_some(), Component::Refraction, "refraction_indices"),
+        for (given, takers, key) in [
+            (directions.is_some(), &[Component::Glossy][..], "directions"),
+            (orders.is_some(), &[Component::Glossy], "integration_orders"),
+            (indices.is_some(), &[Component::Refraction], "refraction_indices"),
+            (reflections.is_some(), &[Component::Mirror, Component::Full], "reflections"),
         ] {
-            if given && !components.contains(&component) {
+            if given && !takers.iter().any(|component| components.contains(component)) {
                 return Err(s.error(&format!("{key} is there, but no component of components takes one")).into());
             }
         }
         let others = crossed(&[AskedLooks::default()], &turns, |looks, turn| looks.environment_turn_deg = *turn);
         let refraction = crossed(&others, &indices.unwrap_or(vec![None]), |looks, index| looks.refraction_index = *index);
+        let mirrors = crossed(&others, &reflections.unwrap_or(vec![0]), |looks, n| looks.reflections = *n);
         let mut glossy = crossed(&others, &directions.unwrap_or(vec![0]), |looks, n| looks.directions = *n);
         let orders: Vec<Option<Order>> = orders.map_or(vec![None], |orders| orders.into_iter().map(Some).collect());
         glossy = crossed(&glossy, &orders, |looks, order| looks.integration_order = *order);
         glossy.iter_mut().for_each(|looks| looks.brdf.clone_from(&brdf));
-        Ok(Self { glossy, refraction, others })
+        Ok(Self { glossy, refraction, mirrors, others })
     }
 
     fn of(&self, component: Component) -> &[AskedLooks] {
         match component {
             Component::Glossy => &self.glossy,
             Component::Refraction => &self.refraction,
+            Component::Mirror | Component::Full => &self.mirrors,
             _ => &self.others,
         }
     }

@@ -177,6 +177,8 @@ fn a_sweep_measures_both_orders_indices_and_turned_light_and_is_chosen_from() {
         ("components = \"glossy\"", "brdf and the component glossy go together"),
         ("directions = 3", "directions is there, but no component"),
         ("refraction_indices = 1.5", "refraction_indices is there, but no component"),
+        ("components = \"reconstruction\"\nreflections = 2", "reflections is there, but no component"),
+        ("components = \"full\"\nreflections = [1, 5]", "1 to 4"),
         ("components = \"refraction\"\nrefraction_indices = 9", "1 to 4"),
         ("environment_turns_deg = 400", "-360 to 360"),
     ] {

@@ -61,6 +61,19 @@ fn a_mirror_that_sees_itself_is_near_its_ground_truth_which_one_reflection_is_no
     let row = &evaluated["summary"]["rows"][0];
     assert_eq!((row["truth"].as_str(), row["reflections"].as_u64()), (Some("several_reflections"), Some(3)), "{row:#}");
 
+    // A sweep over them has a group for each truth, and what is chosen from it reflects as often.
+    let (file, out) = (folder.path().join("sweep.toml"), folder.path().join("sweep"));
+    let settings =
+        "[settings]\nblends = \"corrected\"\nreflections = [1, 2]\n[views]\nframes = 1\nsize = \"32x24\"\n[truth]\nsamples_per_pixel = 4\n";
+    fs::write(&file, format!("datasets = [\"{DATASET}\"]\ntimed_frames_per_view = 1\n{settings}")).unwrap();
+    server.succeed(&["evaluate", "sweep", file.to_str().unwrap(), "--out", out.to_str().unwrap(), "--quiet"]);
+    let sweep = out.join("sweep.json").display().to_string();
+    let chosen = ["--choose", &sweep, "--max-millis", "1000000", "--group", "mirror, 2 reflections"];
+    let view = ["--cameras", scene.to_str().unwrap(), "--quiet", "--out", folder.path().join("chosen").to_str().unwrap()].map(String::from);
+    server.succeed(&[&["render"][..], &chosen, &view.each_ref().map(String::as_str)].concat());
+    let chosen = Picture::of_png(&fs::read(folder.path().join("chosen/frame-00000.png")).unwrap());
+    assert_eq!((chosen.mean(&twice), chosen.mean(&once) > 0.0), (0.0, true));
+
     let refused = server.lumisphere(&["render", "--dataset", DATASET, "--component", "mirror", "--reflections", "9", "--out", "none"]);
     let said = String::from_utf8_lossy(&refused.stderr);
     assert!(!refused.status.success() && said.contains("reflections: 9, 1 to 4 expected"), "{said}");

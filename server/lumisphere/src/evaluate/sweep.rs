@@ -130,6 +130,8 @@ pub struct Group {
     pub light: Option<String>,
     /// The clear body that it is ("solid-1.5").
     pub body: Option<String>,
+    /// Mirror reflections one after the other ("3 reflections"); None for one, or without a mirror.
+    pub reflections: Option<String>,
     /// Indices into the sweep's rows.
     pub rows: Vec<usize>,
 }
@@ -137,7 +139,7 @@ pub struct Group {
 impl Group {
     /// "mirror of teapot in gazebo, against one_reflection"; "mirror, turned-90, of teapot in gazebo, against one_reflection".
     pub fn name(&self) -> String {
-        let told = [&self.light, &self.body].into_iter().flatten().map(|text| format!(" {text},")).collect::<String>();
+        let told = [&self.light, &self.body, &self.reflections].into_iter().flatten().map(|text| format!(" {text},")).collect::<String>();
         let comma = if told.is_empty() { "" } else { "," };
         format!("{}{comma}{told} of {} in {}, against {}", self.component, self.object, self.scene, self.truth)
     }
@@ -171,7 +173,9 @@ impl Sweep {
         for (i, row) in self.rows.iter().enumerate() {
             let told = |key| row.more.get(key).and_then(Value::as_str).map(String::from);
             let (light, body) = (told("light"), told("body"));
-            let is_shown_so = |g: &Group| g.component == row.component && g.light == light && g.body == body;
+            let reflections = row.more.get("reflections").and_then(Value::as_u64).map(|n| format!("{n} reflections"));
+            let is_shown_so =
+                |g: &Group| g.component == row.component && (&g.light, &g.body, &g.reflections) == (&light, &body, &reflections);
             let is_of = |g: &&mut Group| g.scene == row.scene && g.object == row.object && g.truth == row.truth && is_shown_so(g);
             match groups.iter_mut().find(is_of) {
                 Some(group) => group.rows.push(i),
@@ -182,6 +186,7 @@ impl Sweep {
                     truth: row.truth.clone(),
                     light,
                     body,
+                    reflections,
                     rows: vec![i],
                 }),
             }
@@ -309,12 +314,14 @@ pub(super) mod tests {
 
     #[test]
     fn only_rows_that_show_the_same_compare() {
-        let mut rows: Vec<SweepRow> = (0..4).map(|_| row("normal", "32", 2.0, 5.0, 1)).collect();
+        let mut rows: Vec<SweepRow> = (0..5).map(|_| row("normal", "32", 2.0, 5.0, 1)).collect();
         (rows[1].component, rows[1].blend) = ("reconstruction".into(), None);
         rows[2].truth = "physical_mirror".into();
+        rows[4].more.insert("reflections".into(), serde_json::json!(3));
         let groups = sweep(rows).groups();
-        assert_eq!(groups.iter().map(|g| g.rows.clone()).collect::<Vec<_>>(), [vec![0, 3], vec![1], vec![2]]);
+        assert_eq!(groups.iter().map(|g| g.rows.clone()).collect::<Vec<_>>(), [vec![0, 3], vec![1], vec![2], vec![4]]);
         assert_eq!(groups[2].name(), "mirror of teapot in gazebo, against physical_mirror");
+        assert_eq!(groups[3].name(), "mirror, 3 reflections, of teapot in gazebo, against one_reflection");
     }
 
     #[test]
