@@ -26,7 +26,7 @@ pub(crate) const SOURCE: &str = include_str!("lobes/one_lobe.wgsl");
 
 /// Samples' bytes that a tile may hold: a dispatch and its upload outweigh what it costs to begin them.
 const TILE_BYTES: usize = 16 << 20;
-/// So that a dispatch has no more workgroups than every adapter allows: nine tasks a texel at most, 64 to a workgroup.
+/// So that a dispatch stays short: nine tasks a texel at most.
 const GROUPS_AT_MOST: usize = 256;
 /// Tiles that stay on the device.
 const TILES_KEPT: usize = 8;
@@ -181,12 +181,14 @@ impl LobeKernel {
             Entry::Polish => (&self.polishing, &tile.fits),
         };
         let mut encoder = self.gpu.device().create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("one lobe") });
+        let bytes = (starts.len() * size_of::<T>()) as u64;
+        // What the tile before found must not be taken for what this one does.
+        encoder.clear_buffer(results, 0, Some(bytes));
         let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
         pass.set_pipeline(pipeline);
         pass.set_bind_group(0, &resources, &[]);
         pass.dispatch_workgroups(starts.len().div_ceil(WORKGROUP) as u32, 1, 1);
         drop(pass);
-        let bytes = (starts.len() * size_of::<T>()) as u64;
         encoder.copy_buffer_to_buffer(results, 0, tile.read_back.buffer(), 0, bytes);
         queue.submit([encoder.finish()]);
         let found = tile.read_back.request(0..bytes).finish(&self.gpu, |bytes| bytemuck::cast_slice(bytes).to_vec())?;
@@ -314,8 +316,8 @@ impl Resident {
             stamp: None,
             samples: buffer("samples", samples, wgpu::BufferUsages::COPY_DST),
             starts: buffer("starts", starts, wgpu::BufferUsages::COPY_DST),
-            fits: buffer("fits", fits, wgpu::BufferUsages::COPY_SRC),
-            looks: buffer("looks", looks, wgpu::BufferUsages::COPY_SRC),
+            fits: buffer("fits", fits, wgpu::BufferUsages::COPY_SRC | wgpu::BufferUsages::COPY_DST),
+            looks: buffer("looks", looks, wgpu::BufferUsages::COPY_SRC | wgpu::BufferUsages::COPY_DST),
             read_back: ReadBack::new(gpu, "found", looks.max(fits)),
         };
         gpu.check()?;

@@ -1,5 +1,6 @@
 //! Opening the adapter.
 
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -76,7 +77,10 @@ impl Gpu {
 
     /// Waits until everything submitted is done.
     pub(crate) fn wait(&self) -> Result<(), GpuError> {
-        self.device.poll(wgpu::PollType::wait_indefinitely()).map_err(|e| GpuError::Failed { reason: e.to_string() })?;
+        // A device that is lost in the middle of the wait makes wgpu panic.
+        let waited = catch_unwind(AssertUnwindSafe(|| self.device.poll(wgpu::PollType::wait_indefinitely())));
+        let Ok(waited) = waited else { return Err(GpuError::Failed { reason: "the device was lost while it was waited for".into() }) };
+        waited.map_err(|e| GpuError::Failed { reason: e.to_string() })?;
         self.check()
     }
 

@@ -645,6 +645,9 @@ fn fit(m: proto::FitSpec, field: &str) -> Result<FitSpec, ApiError> {
         Ok(proto::Backend::Gpu) => Backend::Gpu,
         Err(_) => return Err(ApiError::field(at("backend"), format!("{}, GPU or CPU expected", m.backend))),
     };
+    if backend == Backend::Gpu && matches!(models, AllowedModels::Constant | AllowedModels::Harmonics(_)) {
+        return Err(ApiError::field(at("backend"), format!("GPU with models {models}, which have no lobe to fit; CPU expected")));
+    }
     Ok(FitSpec {
         observations: dataset_name(&m.observations, &at("observations"))?,
         version: m.version,

@@ -451,7 +451,8 @@ fn fit_one_lobe(@builtin(global_invocation_id) invocation: vec3<u32>) {
         }
     }
     let variance = solved_triple(factored(here.diagonal, here.off_diagonal), vec3(0.0, 0.0, 1.0)).z;
-    let known_variance = select(1e30, variance, variance > 0.0);
+    // Of a pivot that is nearly nothing it may be infinite, which says no more than this.
+    let known_variance = select(1e30, min(variance, 1e30), variance > 0.0);
     fits[which] = Fitted(
         here.axis, here.log_exponent, here.constant, here.cost, here.amplitude, initial_cost, here.carried, known_variance, iterations, converged,
     );

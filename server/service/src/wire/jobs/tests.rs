@@ -99,6 +99,9 @@ fn a_fit_out_of_range_is_refused_by_field() {
     };
     assert!(refused(|f| f.models = "phong:5".into()).starts_with("f.models: models are \"phong:5\""));
     assert!(refused(|f| f.noise_floor = -1.0).starts_with("f.noise_floor: -1"));
+    let harmonics = refused(|f| (f.backend, f.models) = (proto::Backend::Gpu.into(), "sh:9".into()));
+    assert!(harmonics.starts_with("f.backend: GPU with models sh:9, which have no lobe to fit"), "{harmonics}");
+    assert!(refused(|f| (f.backend, f.models) = (proto::Backend::Gpu.into(), "constant".into())).starts_with("f.backend: GPU"));
     assert!(refused(|f| f.backend = 3).starts_with("f.backend: 3, GPU or CPU expected"));
     assert!(refused(|f| f.relative_noise = Some(2.0)).starts_with("f.relative_noise: 2"));
     assert!(refused(|f| f.publish_every_seconds = f32::NAN).starts_with("f.publish_every_seconds: NaN"));
