@@ -10,7 +10,8 @@ use std::time::Instant;
 
 use lumisphere::images::{
     CompareOptions, ExrCompression, ExrImage, ExrLayer, ExrStorage, Image, JpegQuality, ReadLimits, Rgb8, ToneMap, compare, decode_exr,
-    decode_image_codes, decode_jpeg_codes, encode_exr, encode_exr_rgb, encode_jpeg, encode_png, tone_mapped,
+    decode_image_codes, decode_jpeg_codes, encode_exr, encode_exr_rgb, encode_jpeg, encode_jpeg_pixels, encode_png, tone_mapped,
+    tone_mapped_pixels,
 };
 
 const RUNS: usize = 15;
@@ -23,10 +24,12 @@ fn main() {
     let frame = frame();
     let codes = tone_mapped(&frame, ToneMap::PLAIN).expect("three planes");
     println!("step                       median ms       bytes");
-    measure("tone map to 8 bits", || tone_mapped(&frame, ToneMap::PLAIN).expect("three planes").bytes);
+    let pixels: Vec<[f32; 3]> = (0..frame.width * frame.height).map(|i| frame.rgb(i)).collect();
+    measure("tone map to 8 bits", || tone_mapped_pixels(&pixels, frame.width, ToneMap::PLAIN).expect("whole rows").bytes);
     for quality in [75, 85, 95] {
         let quality = JpegQuality::new(quality).expect("within 1–100");
         measure(&format!("JPEG {quality:?}"), || encode_jpeg(&codes, quality).expect("a valid size"));
+        measure("  with the tone map", || encode_jpeg_pixels(&pixels, codes.width, ToneMap::PLAIN, quality).expect("a valid size"));
     }
     measure("PNG", || encode_png(&codes).expect("a valid size"));
     for compression in [ExrCompression::None, ExrCompression::Piz] {

@@ -6,7 +6,9 @@ use std::time::{Duration, Instant};
 
 use bytes::Bytes;
 use lumisphere::geometry::Camera;
-use lumisphere::images::{ExrStorage, Image, ImageError, Rgb8, ToneMap, encode_exr_rgb, encode_jpeg, encode_png, tone_mapped_pixels};
+use lumisphere::images::{
+    ExrStorage, Image, ImageError, Rgb8, ToneMap, encode_exr_rgb, encode_jpeg_pixels, encode_png, tone_mapped_pixels,
+};
 use lumisphere::render::{Backend, Frame, FrameRequest, Outputs, Refine, Renderer};
 use lumisphere::textures::{Page, PageId};
 use tokio::sync::OwnedSemaphorePermit;
@@ -423,8 +425,11 @@ pub fn color_image(still: &Still) -> Image {
 
 /// The colour of a still as a screen shows it.
 fn color_codes(still: &Still, tone_map: ToneMap) -> Result<Rgb8, ImageError> {
-    let width = still.order.camera.intrinsics().width_px as usize;
-    tone_mapped_pixels(still.pixels().color.as_chunks().0, width, tone_map)
+    tone_mapped_pixels(still.pixels().color.as_chunks().0, width_of(still), tone_map)
+}
+
+fn width_of(still: &Still) -> usize {
+    still.order.camera.intrinsics().width_px as usize
 }
 
 fn observe(metrics: &Metrics, timings: &proto::FrameTimings) {
@@ -483,7 +488,7 @@ fn encode_color(still: &Still, encoding: Encoding) -> Result<Encoded, ApiError> 
         }
         Encoding::Exr => encode_exr_rgb(&color_image(still), ExrStorage::Float),
         Encoding::Png { tone_map } => color_codes(still, tone_map).and_then(|i| encode_png(&i)),
-        Encoding::Jpeg { quality, tone_map } => color_codes(still, tone_map).and_then(|i| encode_jpeg(&i, quality)),
+        Encoding::Jpeg { quality, tone_map } => encode_jpeg_pixels(still.pixels().color.as_chunks().0, width_of(still), tone_map, quality),
         Encoding::H264 { quality, tone_map } => {
             let image = color_codes(still, tone_map).map_err(failed)?;
             let video = still.order.video.as_ref().ok_or_else(|| ApiError::internal("a frame of a stream without the stream"))?;

@@ -14,6 +14,7 @@ pub(crate) mod layout_check;
 mod readback;
 mod ring;
 mod stats;
+mod table;
 
 pub(crate) use atlas::{Atlas, AtlasShape, Upload, conform};
 pub use device::Gpu;
@@ -23,3 +24,4 @@ pub use error::GpuError;
 pub(crate) use kernel::{Shader, binding, float_texture, storage_buffer, value_buffer};
 pub(crate) use readback::ReadBack;
 pub use stats::GpuCacheStats;
+pub(crate) use table::{empty_table, table, table_bytes, write_table};

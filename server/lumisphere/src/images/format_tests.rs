@@ -319,6 +319,23 @@ fn a_jpeg_of_strips_is_the_picture_of_one_pass() {
 }
 
 #[test]
+fn a_jpeg_of_radiance_is_that_of_its_codes() {
+    for (width, height) in [(40, 64), (17, 33), (1, 1)] {
+        let pixels: Vec<[f32; 3]> = (0..width * height).map(|i| [0.01, 0.02, -0.03].map(|step| 0.3 + step * (i % 50) as f32)).collect();
+        for tone_map in [ToneMap::PLAIN, ToneMap::Exponential(Exposure::ONE)] {
+            let codes = tone_mapped_pixels(&pixels, width, tone_map).unwrap();
+            let file = encode_jpeg_pixels(&pixels, width, tone_map, JpegQuality::STREAM).unwrap();
+            assert!(file == encode_jpeg(&codes, JpegQuality::STREAM).unwrap(), "{width} × {height}, {tone_map:?}");
+        }
+    }
+    for width in [0, 2, 1 << 16] {
+        let refused = encode_jpeg_pixels(&vec![[0.0; 3]; width + 1], width, ToneMap::PLAIN, JpegQuality::STREAM);
+        assert!(matches!(refused, Err(ImageError::Shape { .. })), "rows of {width}");
+    }
+    assert!(matches!(encode_jpeg_pixels(&[], 4, ToneMap::PLAIN, JpegQuality::STREAM), Err(ImageError::Shape { .. })));
+}
+
+#[test]
 fn black_images_which_compress_best_are_not_taken_for_lies() {
     let black = Image::zeros(1024, 1024, 3);
     for compression in [ExrCompression::Zip, ExrCompression::Piz] {

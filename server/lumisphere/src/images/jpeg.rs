@@ -7,7 +7,8 @@ use jpeg_encoder::{ColorType, Encoder, SamplingFactor};
 use rayon::prelude::*;
 
 use super::display_referred::{decode_codes, linear_planes, rgb8};
-use super::{Format, Image, ImageError, ReadLimits, Rgb8};
+use super::tone_map::{CodeTable, whole_rows};
+use super::{Format, Image, ImageError, ReadLimits, Rgb8, ToneMap};
 
 /// Pixels: a multiple of every minimum coded unit's, of which a strip of the widest image has fewer than 2¹⁶.
 const STRIP_ROWS: usize = 32;
@@ -40,14 +41,30 @@ impl JpegQuality {
 /// Bytes of a baseline JPEG file, the same for any number of threads: each strip of rows is a restart interval (ITU-T T.81, E.1.4), which depends
 /// on no other and is encoded beside the others.
 pub fn encode_jpeg(image: &Rgb8, quality: JpegQuality) -> Result<Vec<u8>, ImageError> {
-    let size = |size: usize| u16::try_from(size).ok().filter(|&size| size > 0);
-    let (Some(width), Some(height)) = (size(image.width), size(image.height)) else {
-        let actual = format!("{} × {}", image.width, image.height);
-        return Err(ImageError::Shape { expected: "1 to 65535 pixels a side".into(), actual });
-    };
+    let (width, height) = sides(image.width, image.height)?;
     let strips = image.bytes.par_chunks(3 * image.width * STRIP_ROWS).map(|rows| encode_strip(rows, width, quality));
-    let strips: Vec<Vec<u8>> = strips.collect::<Result<_, _>>()?;
-    joined(&strips, height).ok_or_else(|| ImageError::Malformed { format: Format::Jpeg, reason: "the encoder left out a header".into() })
+    joined(&strips.collect::<Result<Vec<_>, _>>()?, height)
+}
+
+/// The same file as of [`tone_mapped_pixels`](super::tone_mapped_pixels), strip by strip, so that the codes of one are still in the processor's
+/// cache when they are encoded.
+pub fn encode_jpeg_pixels(pixels: &[[f32; 3]], width: usize, tone_map: ToneMap, quality: JpegQuality) -> Result<Vec<u8>, ImageError> {
+    let rows = whole_rows(pixels, width)?;
+    let (width_px, height_px) = sides(width, rows)?;
+    let table = CodeTable::new(tone_map);
+    let strips = pixels.par_chunks(width * STRIP_ROWS).map(|rows| {
+        let mut codes = vec![0; 3 * rows.len()];
+        table.write(rows.as_flattened(), &mut codes);
+        encode_strip(&codes, width_px, quality)
+    });
+    joined(&strips.collect::<Result<Vec<_>, _>>()?, height_px)
+}
+
+fn sides(width: usize, height: usize) -> Result<(u16, u16), ImageError> {
+    let side = |length: usize| u16::try_from(length).ok().filter(|&length| length > 0);
+    side(width)
+        .zip(side(height))
+        .ok_or_else(|| ImageError::Shape { expected: "1 to 65535 pixels a side".into(), actual: format!("{width} × {height}") })
 }
 
 /// As a file of its own, of one restart interval.
@@ -67,8 +84,13 @@ fn encode_strip(rows: &[u8], width: u16, quality: JpegQuality) -> Result<Vec<u8>
     Ok(bytes)
 }
 
-/// Strips one below the other. None if one of them is no file.
-fn joined(strips: &[Vec<u8>], height: u16) -> Option<Vec<u8>> {
+/// Strips one below the other.
+fn joined(strips: &[Vec<u8>], height: u16) -> Result<Vec<u8>, ImageError> {
+    whole_file(strips, height).ok_or_else(|| ImageError::Malformed { format: Format::Jpeg, reason: "the encoder left out a header".into() })
+}
+
+/// None if one of them is no file.
+fn whole_file(strips: &[Vec<u8>], height: u16) -> Option<Vec<u8>> {
     let [first, ..] = strips else { return None };
     let mut whole = Vec::with_capacity(strips.iter().map(Vec::len).sum());
     let (frame, scan) = (segment(first, START_OF_FRAME)?, coded(first)?);

@@ -75,10 +75,15 @@ pub fn tone_mapped(image: &Image, tone_map: ToneMap) -> Result<Rgb8, ImageError>
 
 /// The same of whole rows of linear R G B, as a renderer leaves them.
 pub fn tone_mapped_pixels(pixels: &[[f32; 3]], width: usize, tone_map: ToneMap) -> Result<Rgb8, ImageError> {
-    if width == 0 || !pixels.len().is_multiple_of(width) {
-        return Err(ImageError::Shape { expected: format!("rows of {width} pixels"), actual: format!("{} pixels", pixels.len()) });
+    Ok(codes(width, whole_rows(pixels, width)?, tone_map, |i| pixels[i]))
+}
+
+/// How many.
+pub(super) fn whole_rows(pixels: &[[f32; 3]], width: usize) -> Result<usize, ImageError> {
+    match width > 0 && pixels.len().is_multiple_of(width) {
+        true => Ok(pixels.len() / width),
+        false => Err(ImageError::Shape { expected: format!("rows of {width} pixels"), actual: format!("{} pixels", pixels.len()) }),
     }
-    Ok(codes(width, pixels.len() / width, tone_map, |i| pixels[i]))
 }
 
 fn codes(width: usize, height: usize, tone_map: ToneMap, pixel: impl Fn(usize) -> [f32; 3] + Sync) -> Rgb8 {
@@ -86,28 +91,33 @@ fn codes(width: usize, height: usize, tone_map: ToneMap, pixel: impl Fn(usize) -
     let table = CodeTable::new(tone_map);
     let mut bytes = vec![0; 3 * width * height];
     bytes.par_chunks_mut(3 * PIXELS_PER_TASK).enumerate().for_each(|(task, codes)| {
-        for (i, codes) in (task * PIXELS_PER_TASK..).zip(codes.as_chunks_mut::<3>().0) {
-            *codes = pixel(i).map(|sample| table.code(sample));
+        let first = task * PIXELS_PER_TASK;
+        for (start, codes) in (first..).step_by(BLOCK).zip(codes.chunks_mut(3 * BLOCK)) {
+            let mut block = [[0.0; 3]; BLOCK];
+            let count = codes.len() / 3;
+            block[..count].iter_mut().zip(start..).for_each(|(sample, i)| *sample = pixel(i));
+            table.write(block[..count].as_flattened(), codes);
         }
     });
     Rgb8 { width, height, bytes }
 }
 
-/// Finds a sample's code among 255 thresholds: the upper bits of an f32 (exponent and 7 bits of mantissa) index a bucket that
-/// knows the code of its lower end; buckets are narrower than codes, so at most one threshold is left to pass. Without branches, which noise
-/// would mislead.
-struct CodeTable {
-    /// `thresholds[code]` is the least sample shown as `code`; the last is infinite and belongs to no code.
-    thresholds: [f32; 257],
-    /// Code at the lower end of each bucket.
-    codes: Vec<u8>,
+/// Samples that are looked up together: first all their places in the table, which the compiler does several at a time, then what is there.
+const BLOCK: usize = 16;
+
+/// Finds a sample's code among 255 thresholds: the upper bits of an f32 (exponent and 7 bits of mantissa) are a bucket. Buckets are narrower than
+/// codes, so that at most one threshold lies in each: an entry is the code of the bucket's lower end in its upper bits, and in its lower bits what,
+/// added to the sample's lower bits, carries into the code where they reach the threshold's. Without branches, which noise would mislead.
+pub(super) struct CodeTable {
+    entries: Vec<u32>,
     first_bucket: u32,
-    /// The lower end of the first bucket; what is shown as white.
-    range: (f32, f32),
+    /// The bits of the lower end of the first bucket, and of what is shown as white.
+    range: (i32, i32),
 }
 
 impl CodeTable {
-    fn new(tone_map: ToneMap) -> Self {
+    pub(super) fn new(tone_map: ToneMap) -> Self {
+        // `thresholds[code]` is the least sample shown as `code`; the last belongs to none and lies in no bucket.
         let mut thresholds = [f32::INFINITY; 257];
         thresholds[0] = 0.0;
         for (code, threshold) in thresholds.iter_mut().enumerate().take(256).skip(1) {
@@ -115,21 +125,39 @@ impl CodeTable {
         }
         // One more before, so that the first one's lower end is below the least threshold and not at it.
         let (first_bucket, last_bucket) = (bucket(thresholds[1]) - 1, bucket(thresholds[255]));
-        let lower_end = |bucket: u32| f32::from_bits(bucket << BUCKET_SHIFT);
-        let code_at = |lower: f32| thresholds[1..256].partition_point(|&threshold| threshold <= lower) as u8;
-        let codes = (first_bucket..=last_bucket).map(|bucket| code_at(lower_end(bucket))).collect();
-        Self { thresholds, codes, first_bucket, range: (lower_end(first_bucket), thresholds[255]) }
+        let lower_end = |bucket: u32| bucket << BUCKET_SHIFT;
+        let entry = |number: u32| {
+            let code = thresholds[1..256].partition_point(|&threshold| threshold.to_bits() <= lower_end(number)) as u32;
+            let next = thresholds[code as usize + 1];
+            let carry = if bucket(next) == number { (1 << BUCKET_SHIFT) - (next.to_bits() & LOWER_BITS) } else { 0 };
+            (code << BUCKET_SHIFT) + carry
+        };
+        let entries = (first_bucket..=last_bucket).map(entry).collect();
+        Self { entries, first_bucket, range: (lower_end(first_bucket) as i32, thresholds[255].to_bits() as i32) }
     }
 
-    fn code(&self, sample: f32) -> u8 {
-        // NaN becomes the lower end, which is black.
-        let sample = sample.max(self.range.0).min(self.range.1);
-        let code = self.codes[(bucket(sample) - self.first_bucket) as usize];
-        code + u8::from(sample >= self.thresholds[usize::from(code) + 1])
+    /// The codes of as many samples.
+    pub(super) fn write(&self, samples: &[f32], codes: &mut [u8]) {
+        for (samples, codes) in samples.chunks(BLOCK).zip(codes.chunks_mut(BLOCK)) {
+            let mut bits = [0; BLOCK];
+            bits.iter_mut().zip(samples).for_each(|(bits, sample)| *bits = self.within(*sample));
+            for (bits, code) in bits.iter().zip(codes) {
+                let entry = self.entries[((bits >> BUCKET_SHIFT) - self.first_bucket) as usize];
+                *code = ((entry + (bits & LOWER_BITS)) >> BUCKET_SHIFT) as u8;
+            }
+        }
+    }
+
+    /// The bits of a sample, or of the end of the range that it is beyond; NaN is black. Of floats that are not negative the order is that of
+    /// their bits, and negative ones are negative as integers, too.
+    fn within(&self, sample: f32) -> u32 {
+        let sample = if sample.is_nan() { 0.0 } else { sample };
+        (sample.to_bits() as i32).max(self.range.0).min(self.range.1) as u32
     }
 }
 
 const BUCKET_SHIFT: u32 = 16;
+const LOWER_BITS: u32 = (1 << BUCKET_SHIFT) - 1;
 
 fn bucket(sample: f32) -> u32 {
     sample.to_bits() >> BUCKET_SHIFT
@@ -147,6 +175,12 @@ mod tests {
         ToneMap::Exponential(Exposure(9.3e-10)),
     ];
 
+    fn coded<const N: usize>(table: &CodeTable, samples: [f32; N]) -> [u8; N] {
+        let mut codes = [0; N];
+        table.write(&samples, &mut codes);
+        codes
+    }
+
     #[test]
     fn table_codes_are_the_formulas_rounded() {
         for tone_map in MAPS {
@@ -156,7 +190,7 @@ mod tests {
             for bits in (0x2180_0000..0x5880_0000u32).step_by(4_099) {
                 let sample = f32::from_bits(bits);
                 let exact = tone_map.encoded(sample) * 255.0;
-                let code = table.code(sample);
+                let [code] = coded(&table, [sample]);
                 seen[usize::from(code)] = true;
                 // Half a code, and the rounding of f32 powers near the thresholds.
                 assert!((f32::from(code) - exact).abs() <= 0.5 + 1e-3, "{tone_map:?}: {sample} is {exact}, table says {code}");
@@ -176,8 +210,8 @@ mod tests {
     fn samples_that_are_not_colours_have_defined_codes() {
         for tone_map in MAPS {
             let table = CodeTable::new(tone_map);
-            let codes = [f32::NAN, -1.0, f32::NEG_INFINITY, -0.0, 0.0, f32::INFINITY].map(|sample| table.code(sample));
-            assert_eq!(codes, [0, 0, 0, 0, 0, 255]);
+            let codes = coded(&table, [f32::NAN, -f32::NAN, -1.0, f32::NEG_INFINITY, -0.0, 0.0, f32::INFINITY]);
+            assert_eq!(codes, [0, 0, 0, 0, 0, 0, 255]);
         }
     }
 

@@ -1,14 +1,10 @@
-//! What finishing the background's pixels reads, as tables in textures: the host side of `g_buffer.wgsl`'s group 1.
-//!
-//! Textures, because lavapipe reads a texel of 16 bytes at once for all lanes, but each word of a storage buffer lane by lane. An element of a
-//! table is a texel; rows hold 4096, so that the 8192 rows that every device offers hold 33 million: 8 million vertices.
+//! What finishing the background's pixels reads, as tables: the host side of `g_buffer.wgsl`'s group 1.
 
-use bytemuck::Pod;
 use glam::Vec3;
 use wgpu::TextureFormat;
 
 use super::{BackgroundVertex, Material, ProxyGeometry};
-use crate::gpu::{Gpu, GpuError, binding};
+use crate::gpu::{Gpu, GpuError, binding, table, table_bytes};
 
 /// Triangles, vertices, materials, levels, texels.
 pub(super) struct BackgroundTables {
@@ -16,8 +12,6 @@ pub(super) struct BackgroundTables {
     bytes: u64,
 }
 
-// As in g_buffer.wgsl.
-const ROW_BITS: u32 = 12;
 const FORMATS: [TextureFormat; 5] =
     [TextureFormat::Rgba32Uint, TextureFormat::Rgba32Float, TextureFormat::Rgba32Uint, TextureFormat::Rgba32Uint, TextureFormat::Rg32Uint];
 
@@ -37,10 +31,7 @@ impl BackgroundTables {
             table(gpu, "rows of the background's texture levels", FORMATS[3], &geometry.pyramids.levels)?,
             table(gpu, "rows of the background's textures", FORMATS[4], &geometry.pyramids.texels)?,
         ];
-        let bytes_of = |(table, format): (&wgpu::Texture, TextureFormat)| {
-            u64::from(table.width()) * u64::from(table.height()) * u64::from(format.block_copy_size(None).unwrap_or(16))
-        };
-        let bytes = tables.iter().zip(FORMATS).map(bytes_of).sum();
+        let bytes = tables.iter().map(table_bytes).sum();
         Ok(Self { tables, bytes })
     }
 
@@ -74,47 +65,4 @@ fn vertex_texels(vertex: &BackgroundVertex, material: &Material) -> [[f32; 4]; 4
 fn material_texels(material: &Material) -> [[u32; 4]; 2] {
     let [r, g, b] = material.emission.map(f32::to_bits);
     [[r, g, b, material.texels_per_length.to_bits()], [material.first_level, material.level_count, 0, 0]]
-}
-
-// At least one texel, since empty textures do not exist.
-fn table<T: Pod>(gpu: &Gpu, label: &'static str, format: TextureFormat, elements: &[T]) -> Result<wgpu::Texture, GpuError> {
-    let row = 1usize << ROW_BITS;
-    let (width, height) = (elements.len().clamp(1, row), elements.len().div_ceil(row).max(1));
-    let limit = u64::from(gpu.device().limits().max_texture_dimension_2d);
-    let needed = width.max(height) as u64;
-    if needed > limit {
-        return Err(GpuError::BeyondLimit { what: label, needed, limit });
-    }
-    let size = wgpu::Extent3d { width: width as u32, height: height as u32, depth_or_array_layers: 1 };
-    let texture = gpu.device().create_texture(&wgpu::TextureDescriptor {
-        label: Some(label),
-        size,
-        mip_level_count: 1,
-        sample_count: 1,
-        dimension: wgpu::TextureDimension::D2,
-        format,
-        usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
-        view_formats: &[],
-    });
-    // Whole rows, then what is left for the last one.
-    let (rows, rest) = elements.split_at(elements.len() / width * width);
-    for (elements, first_row) in [(rows, 0), (rest, rows.len() / width)] {
-        let size = wgpu::Extent3d {
-            width: elements.len().min(width) as u32,
-            height: elements.len().div_ceil(width) as u32,
-            depth_or_array_layers: 1,
-        };
-        if elements.is_empty() {
-            continue;
-        }
-        let target = wgpu::TexelCopyTextureInfo {
-            texture: &texture,
-            mip_level: 0,
-            origin: wgpu::Origin3d { x: 0, y: first_row as u32, z: 0 },
-            aspect: wgpu::TextureAspect::All,
-        };
-        let layout = wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some((width * size_of::<T>()) as u32), rows_per_image: None };
-        gpu.queue().write_texture(target, bytemuck::cast_slice(elements), layout, size);
-    }
-    Ok(texture)
 }

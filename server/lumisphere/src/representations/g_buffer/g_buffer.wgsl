@@ -2,7 +2,6 @@
 // Each kind has its own list and its own dispatch, since lanes of a processor would otherwise pay for every kind at every pixel.
 
 @group(1) @binding(0) var environment: texture_2d<f32>;
-// Tables in textures, of 16 or 8 bytes an element: a processor reads such a texel at once, where it reads each word of a buffer apart.
 // Three corners and the material; the first triangle is number `camera.object_end`.
 @group(1) @binding(1) var background_triangles: texture_2d<u32>;
 // VERTEX_TEXELS a vertex, by the constants below.
@@ -14,8 +13,6 @@
 // R and G, B and nothing, as pairs of f16.
 @group(1) @binding(5) var texels: texture_2d<u32>;
 
-// Elements of a table in a row of its texture.
-const ROW_BITS: u32 = 12u;
 const MATERIAL_TEXELS: u32 = 2u;
 const VERTEX_TEXELS: u32 = 4u;
 // Position and u.
@@ -32,10 +29,6 @@ override TEXTURED: bool = false;
 const LEAST_COSINE: f32 = 0.05;
 // Pixels that one invocation sorts: it adds to each list once, since lists are shared by all.
 const RUN: u32 = 32u;
-
-fn place_of(element: u32) -> vec2<u32> {
-    return vec2(element & ((1u << ROW_BITS) - 1u), element >> ROW_BITS);
-}
 
 fn list_of(at: vec2<u32>) -> u32 {
     let seen = visible_triangle(at);

@@ -14,6 +14,8 @@ mod background_equals_rays;
 #[cfg(feature = "gpu")]
 mod background_tables;
 #[cfg(feature = "gpu")]
+mod object_tables;
+#[cfg(feature = "gpu")]
 mod rasterize;
 mod texture_pyramid;
 mod trace;
@@ -27,6 +29,8 @@ use crate::capture::Background;
 use crate::geometry::{Camera, TriangleMesh};
 use crate::scenes::{Albedo, Environment};
 
+#[cfg(feature = "gpu")]
+pub(crate) use object_tables::object_entries;
 #[cfg(feature = "gpu")]
 pub(crate) use rasterize::{BAND_BYTES_PER_PIXEL, Band, OUTPUT_WORDS, Rasterizer, band_entries};
 #[cfg(all(test, feature = "gpu"))]

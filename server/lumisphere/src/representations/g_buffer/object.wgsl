@@ -1,9 +1,16 @@
-// Twin of trace.rs. What a pixel sees of the object. Expects `object_triangles` and `object_vertices` from the kernel that includes it.
+// Twin of trace.rs. What a pixel sees of the object. Expects the tables of object_tables.rs, `object_triangles` (three corners and the part) and
+// `object_vertices` (two elements each: position and u, normal and v), from the kernel that includes it.
 
 struct ObjectVertex {
-    x: f32, y: f32, z: f32,
-    normal_x: f32, normal_y: f32, normal_z: f32,
-    u: f32, v: f32,
+    position: vec3<f32>,
+    normal: vec3<f32>,
+    uv: vec2<f32>,
+}
+
+struct ObjectTriangle {
+    a: ObjectVertex,
+    b: ObjectVertex,
+    c: ObjectVertex,
     part: u32,
 }
 
@@ -26,12 +33,15 @@ struct ObjectPoint {
 
 const LEAST_SINE: f32 = 0.02;
 
-fn vertex_position(v: ObjectVertex) -> vec3<f32> {
-    return vec3(v.x, v.y, v.z);
+fn object_vertex(index: u32) -> ObjectVertex {
+    let place = textureLoad(object_vertices, place_of(2u * index), 0);
+    let normal = textureLoad(object_vertices, place_of(2u * index + 1u), 0);
+    return ObjectVertex(place.xyz, normal.xyz, vec2(place.w, normal.w));
 }
 
-fn vertex_normal(v: ObjectVertex) -> vec3<f32> {
-    return vec3(v.normal_x, v.normal_y, v.normal_z);
+fn object_triangle(index: u32) -> ObjectTriangle {
+    let corners = textureLoad(object_triangles, place_of(index), 0);
+    return ObjectTriangle(object_vertex(corners.x), object_vertex(corners.y), object_vertex(corners.z), corners.w);
 }
 
 // A seen triangle with the ray that meets it, and what of it all derivatives share.
@@ -61,26 +71,27 @@ fn differential(t: SeenTriangle, by: vec3<f32>) -> SurfaceDifferential {
 }
 
 // Twin of tangent_frame.rs.
-fn tangent_along_u(a: ObjectVertex, b: ObjectVertex, c: ObjectVertex) -> vec3<f32> {
-    let to_b = vec2(b.u - a.u, b.v - a.v);
-    let to_c = vec2(c.u - a.u, c.v - a.v);
+fn tangent_along_u(t: ObjectTriangle) -> vec3<f32> {
+    let to_b = t.b.uv - t.a.uv;
+    let to_c = t.c.uv - t.a.uv;
     let turn = to_b.x * to_c.y - to_b.y * to_c.x;
-    let e1 = vertex_position(b) - vertex_position(a);
-    let e2 = vertex_position(c) - vertex_position(a);
+    let e1 = t.b.position - t.a.position;
+    let e2 = t.c.position - t.a.position;
     return (e1 * to_c.y - e2 * to_b.y) * sign(turn);
 }
 
 fn object_point(direction: vec3<f32>, triangle: u32) -> ObjectPoint {
-    let a = object_vertices[object_triangles[3u * triangle]];
-    let b = object_vertices[object_triangles[3u * triangle + 1u]];
-    let c = object_vertices[object_triangles[3u * triangle + 2u]];
-    let at = meet(direction, vertex_position(a), vertex_position(b), vertex_position(c));
+    let corners = object_triangle(triangle);
+    let a = corners.a;
+    let b = corners.b;
+    let c = corners.c;
+    let at = meet(direction, a.position, b.position, c.position);
     let w = at.weights;
-    let uv = w.x * vec2(a.u, a.v) + w.y * vec2(b.u, b.v) + w.z * vec2(c.u, c.v);
-    let normal = w.x * vertex_normal(a) + w.y * vertex_normal(b) + w.z * vertex_normal(c);
+    let uv = w.x * a.uv + w.y * b.uv + w.z * c.uv;
+    let normal = w.x * a.normal + w.y * b.normal + w.z * c.normal;
     var t: SeenTriangle;
-    t.e1 = vertex_position(b) - vertex_position(a);
-    t.e2 = vertex_position(c) - vertex_position(a);
+    t.e1 = b.position - a.position;
+    t.e2 = c.position - a.position;
     t.area = cross(t.e1, t.e2);
     t.squared = dot(t.area, t.area);
     t.plane = t.area * inverseSqrt(t.squared);
@@ -90,10 +101,10 @@ fn object_point(direction: vec3<f32>, triangle: u32) -> ObjectPoint {
     t.distance = at.distance;
     t.length = length(normal);
     t.normal = normal / t.length;
-    t.normal_along_b = vertex_normal(b) - vertex_normal(a);
-    t.normal_along_c = vertex_normal(c) - vertex_normal(a);
+    t.normal_along_b = b.normal - a.normal;
+    t.normal_along_c = c.normal - a.normal;
     let by = ray_derivatives(camera, direction);
     let across = differential(t, by.across);
     let down = differential(t, by.down);
-    return ObjectPoint(uv, normalize_or(normal, -direction), at.distance, a.part, at.front, across, down, tangent_along_u(a, b, c));
+    return ObjectPoint(uv, normalize_or(normal, -direction), at.distance, corners.part, at.front, across, down, tangent_along_u(corners));
 }

@@ -9,6 +9,7 @@ use bytemuck::{Pod, Zeroable};
 use glam::Vec3;
 
 use super::background_tables::BackgroundTables;
+use super::object_tables::ObjectTables;
 use super::visible_triangles::{Corner, VisibleTriangles};
 use super::{ProxyGeometry, pixel_angle};
 use crate::geometry::Camera;
@@ -18,6 +19,7 @@ use crate::scenes::Environment;
 /// All of the source of what finishes a band's pixels.
 pub(crate) const SOURCE: &str = concat!(
     include_str!("camera.wgsl"),
+    include_str!("../../gpu/table.wgsl"),
     include_str!("band.wgsl"),
     include_str!("../../directions/lat_long.wgsl"),
     include_str!("g_buffer.wgsl")
@@ -60,8 +62,7 @@ pub(crate) struct Rasterizer {
     sort_pixels: wgpu::ComputePipeline,
     finish: [(wgpu::ComputePipeline, u32); 3],
     resources: wgpu::BindGroup,
-    object_triangles: wgpu::Buffer,
-    object_vertices: wgpu::Buffer,
+    object: ObjectTables,
     environment_turn: f32,
     near: f32,
     bytes: u64,
@@ -147,22 +148,19 @@ impl Rasterizer {
         }
         let shader = Shader::new(gpu, "g-buffer", SOURCE, &[&band_entries(), &background_entries()]);
         let (environment, environment_turn) = environment_texture(gpu, &geometry.environment)?;
-        let none = wgpu::BufferUsages::empty();
         let tables = BackgroundTables::new(gpu, geometry, &triangles.background)?;
         let views = tables.views();
         let view = environment.create_view(&wgpu::TextureViewDescriptor::default());
         let resources: Vec<_> = [&view].into_iter().chain(&views).map(wgpu::BindingResource::TextureView).collect();
         let resources = shader.bind(gpu, 1, &resources);
-        let object_triangles = storage_buffer(gpu, "object triangles", &geometry.object_triangles, none);
-        let object_vertices = storage_buffer(gpu, "object vertices", &geometry.object_vertices, none);
+        let object = ObjectTables::new(gpu, geometry)?;
         let corners = storage_buffer(gpu, "corners", &triangles.corners, wgpu::BufferUsages::VERTEX);
         let indices = storage_buffer(gpu, "indices", &triangles.indices, wgpu::BufferUsages::INDEX);
         let camera = value_buffer::<CameraUniform>(gpu, "camera");
         let visibility_shader = Shader::new(gpu, "visibility", VISIBILITY_SOURCE, &[&[binding::read_buffer(0)]]);
         let camera_only = visibility_shader.bind(gpu, 0, &[camera.as_entire_binding()]);
         let environment_bytes = u64::from(environment.width()) * u64::from(environment.height()) * 16;
-        let buffers = [&object_triangles, &object_vertices, &corners, &indices];
-        let bytes = environment_bytes + tables.bytes() + buffers.into_iter().map(wgpu::Buffer::size).sum::<u64>();
+        let bytes = environment_bytes + tables.bytes() + object.bytes() + corners.size() + indices.size();
         let background = |textured: f64| shader.compute_pipeline(gpu, "background", &[("TEXTURED", textured)]);
         let finish =
             [(background(0.0), PLAIN_LIST), (background(1.0), TEXTURED_LIST), (shader.compute_pipeline(gpu, "sky", &[]), SKY_LIST)];
@@ -181,8 +179,7 @@ impl Rasterizer {
             sort_pixels,
             finish,
             resources,
-            object_triangles,
-            object_vertices,
+            object,
             environment_turn,
             near,
             bytes,
@@ -194,9 +191,9 @@ impl Rasterizer {
         self.bytes
     }
 
-    /// What `object.wgsl` reads: three corners a triangle, and the corners.
-    pub fn object_buffers(&self) -> [&wgpu::Buffer; 2] {
-        [&self.object_triangles, &self.object_vertices]
+    /// What `object.wgsl` reads, as [`object_entries`](super::object_entries) describes it.
+    pub fn object_views(&self) -> [wgpu::TextureView; 2] {
+        self.object.views()
     }
 
     /// Room for `rows` rows of `width` pixels.
@@ -413,11 +410,12 @@ fn environment_texture(gpu: &Gpu, environment: &Environment) -> Result<(wgpu::Te
 pub(crate) mod resolve {
     use super::{Band, GROUP_SIZE, Rasterizer, background_entries, band_entries};
     use crate::gpu::{Gpu, ReadBack, Shader, binding, storage_buffer};
-    use crate::representations::g_buffer::GBufferPixel;
+    use crate::representations::g_buffer::{GBufferPixel, object_entries};
 
     /// All of `resolve.wgsl`'s source.
     pub(crate) const SOURCE: &str = concat!(
         include_str!("camera.wgsl"),
+        include_str!("../../gpu/table.wgsl"),
         include_str!("band.wgsl"),
         include_str!("../../directions/lat_long.wgsl"),
         include_str!("object.wgsl"),
@@ -428,11 +426,13 @@ pub(crate) mod resolve {
     impl Rasterizer {
         /// What each pixel of the band that was drawn last sees, computed by the functions that shading uses.
         pub fn read_g_buffer(&self, gpu: &Gpu, band: &Band) -> Vec<GBufferPixel> {
-            let entries = [binding::read_buffer(0), binding::read_buffer(1), binding::write_buffer(2)];
+            let [triangles, vertices] = object_entries();
+            let entries = [triangles, vertices, binding::write_buffer(2)];
             let shader = Shader::new(gpu, "resolve", SOURCE, &[&band_entries(), &background_entries(), &entries]);
             let pixels = vec![[[0f32; 4]; 7]; band.pixels() as usize];
             let resolved = storage_buffer(gpu, "resolved", &pixels, wgpu::BufferUsages::COPY_SRC);
-            let [triangles, vertices] = self.object_buffers().map(wgpu::Buffer::as_entire_binding);
+            let views = self.object_views();
+            let [triangles, vertices] = views.each_ref().map(wgpu::BindingResource::TextureView);
             let own = shader.bind(gpu, 2, &[triangles, vertices, resolved.as_entire_binding()]);
             let pipeline = shader.compute_pipeline(gpu, "resolve", &[("TEXTURED", 1.0)]);
             let read_back = ReadBack::new(gpu, "g-buffer", resolved.size());

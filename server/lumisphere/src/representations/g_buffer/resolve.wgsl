@@ -1,7 +1,7 @@
 // Twin of rasterize.rs. For tests: the whole G-buffer, laid out as `GBufferPixel` says, seven elements a pixel.
 
-@group(2) @binding(0) var<storage, read> object_triangles: array<u32>;
-@group(2) @binding(1) var<storage, read> object_vertices: array<ObjectVertex>;
+@group(2) @binding(0) var object_triangles: texture_2d<u32>;
+@group(2) @binding(1) var object_vertices: texture_2d<f32>;
 @group(2) @binding(2) var<storage, read_write> resolved: array<vec4<f32>>;
 
 @compute @workgroup_size(64)

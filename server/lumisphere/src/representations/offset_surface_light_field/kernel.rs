@@ -20,7 +20,7 @@ use crate::gpu::{Atlas, AtlasShape, Gpu, GpuCacheStats, GpuError, ReadBack, Shad
 use crate::radiometry::brdf::{BrdfUniform, Measured};
 use crate::radiometry::dielectric::Body;
 use crate::representations::frame_output::{BAND_BYTES, BYTES_PER_PIXEL, BoundBand, MAX_BAND_PIXELS};
-use crate::representations::g_buffer::{ProxyGeometry, Rasterizer, band_entries};
+use crate::representations::g_buffer::{ProxyGeometry, Rasterizer, band_entries, object_entries};
 use crate::representations::page_source::CountingSource;
 use crate::representations::{FrameRequest, GpuFrameStats, GpuKernel, Pixels, RenderError, UploadUnit};
 use crate::scenes::MOST_POINT_LIGHTS;
@@ -32,6 +32,7 @@ use tree::TreeTexture;
 /// All of `kernel.wgsl`'s source.
 pub(crate) const SOURCE: &str = concat!(
     include_str!("../g_buffer/camera.wgsl"),
+    include_str!("../../gpu/table.wgsl"),
     include_str!("../g_buffer/band.wgsl"),
     include_str!("../g_buffer/object.wgsl"),
     include_str!("../../directions/cube_map.wgsl"),
@@ -159,9 +160,10 @@ impl Kernel {
     pub fn new(gpu: Arc<Gpu>, field: Arc<OffsetSurfaceLightField>, budget_bytes: u64) -> Result<Self, GpuError> {
         let geometry = ProxyGeometry::new(&field.surface.mesh, &field.surface.part_of_triangle, &field.background);
         gpu.check_binding("the sample maps", size_of_val(field.sample_maps.indices.as_slice()) as u64)?;
+        let [triangles, vertices] = object_entries();
         let entries = [
-            binding::read_buffer(0),
-            binding::read_buffer(1),
+            triangles,
+            vertices,
             binding::read_buffer(2),
             binding::read_buffer(3),
             binding::read_buffer(4),
@@ -352,10 +354,12 @@ impl Kernel {
     }
 
     fn bind_resources(&self, atlas: &Atlas) -> wgpu::BindGroup {
-        let [triangles, vertices] = self.rasterizer.object_buffers();
+        let views = self.rasterizer.object_views();
+        let tables = views.iter().map(wgpu::BindingResource::TextureView);
         let (shading, points, maps) = (&self.shading, &self.sample_points, &self.sample_maps);
-        let resources = [triangles, vertices, shading, points, maps, atlas.indirection(), &self.touched, &self.gloss, &self.light];
-        self.shader.bind(&self.gpu, 1, &resources.map(wgpu::Buffer::as_entire_binding))
+        let buffers = [shading, points, maps, atlas.indirection(), &self.touched, &self.gloss, &self.light];
+        let resources: Vec<_> = tables.chain(buffers.map(wgpu::Buffer::as_entire_binding)).collect();
+        self.shader.bind(&self.gpu, 1, &resources)
     }
 
     fn ensure_band(&mut self, width: u32, rows: u32) -> Result<(), GpuError> {

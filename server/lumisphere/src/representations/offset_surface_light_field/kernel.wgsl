@@ -32,8 +32,8 @@ struct Shading {
     reflections: u32,
 }
 
-@group(1) @binding(0) var<storage, read> object_triangles: array<u32>;
-@group(1) @binding(1) var<storage, read> object_vertices: array<ObjectVertex>;
+@group(1) @binding(0) var object_triangles: texture_2d<u32>;
+@group(1) @binding(1) var object_vertices: texture_2d<f32>;
 @group(1) @binding(2) var<storage, read> shading: Shading;
 @group(1) @binding(3) var<storage, read> sample_points: array<vec4<f32>>;
 // Four 16-bit indices a texel, the first in the low half.

@@ -127,14 +127,11 @@ fn next_surface(position: vec3<f32>, normal: vec3<f32>, direction: vec3<f32>) ->
     if hit.triangle < 0.0 {
         return SurfacePoint(false, vec3(0.0), vec3(0.0), vec3(0.0), vec2(0.0), 0u);
     }
-    let triangle = 3u * u32(hit.triangle);
-    let a = object_vertices[object_triangles[triangle]];
-    let b = object_vertices[object_triangles[triangle + 1u]];
-    let c = object_vertices[object_triangles[triangle + 2u]];
+    let met = object_triangle(u32(hit.triangle));
     let w = vec3(1.0 - hit.u - hit.v, hit.u, hit.v);
-    let normals = w.x * vertex_normal(a) + w.y * vertex_normal(b) + w.z * vertex_normal(c);
-    let area = cross(vertex_position(b) - vertex_position(a), vertex_position(c) - vertex_position(a));
+    let normals = w.x * met.a.normal + w.y * met.b.normal + w.z * met.c.normal;
+    let area = cross(met.b.position - met.a.position, met.c.position - met.a.position);
     let geometric = normalize_or(area, -direction);
-    let uv = vec2(w.x * a.u + w.y * b.u + w.z * c.u, w.x * a.v + w.y * b.v + w.z * c.v);
-    return SurfacePoint(true, origin + hit.distance * direction, normalize_or(normals, geometric), geometric, uv, a.part);
+    let uv = w.x * met.a.uv + w.y * met.b.uv + w.z * met.c.uv;
+    return SurfacePoint(true, origin + hit.distance * direction, normalize_or(normals, geometric), geometric, uv, met.part);
 }

@@ -8,11 +8,11 @@ use std::time::Instant;
 
 use bytemuck::{Pod, Zeroable};
 
-use super::{ParameterMap, QUADS_PER_PAGE, Show};
+use super::{ModelCode, ParameterMap, QUADS_PER_PAGE, Show};
 use crate::directions::harmonic_recurrence;
-use crate::gpu::{Gpu, GpuCacheStats, GpuError, Shader, binding, storage_buffer, value_buffer};
+use crate::gpu::{Gpu, GpuCacheStats, GpuError, Shader, binding, empty_table, table, table_bytes, value_buffer, write_table};
 use crate::representations::frame_output::{BAND_BYTES, BYTES_PER_PIXEL, BoundBand, FrameOutput, MAX_BAND_PIXELS, bands};
-use crate::representations::g_buffer::{ProxyGeometry, Rasterizer, band_entries};
+use crate::representations::g_buffer::{ProxyGeometry, Rasterizer, band_entries, object_entries};
 use crate::representations::page_source::CountingSource;
 use crate::representations::{FrameRequest, GpuFrameStats, GpuKernel, Pixels, RenderError, Settings as AnySettings, UploadUnit};
 use crate::textures::{Page, PageId, PixelFormat, PolicyKind};
@@ -20,6 +20,7 @@ use crate::textures::{Page, PageId, PixelFormat, PolicyKind};
 /// All of `kernel.wgsl`'s source.
 pub(crate) const SOURCE: &str = concat!(
     include_str!("../g_buffer/camera.wgsl"),
+    include_str!("../../gpu/table.wgsl"),
     include_str!("../g_buffer/band.wgsl"),
     include_str!("../g_buffer/object.wgsl"),
     include_str!("kernel.wgsl")
@@ -31,8 +32,6 @@ pub(crate) const SOURCE: &str = concat!(
 pub(crate) struct ShadingUniform {
     pub size: u32,
     pub show_what: u32,
-    pub half_precision: u32,
-    pub padding: u32,
 }
 
 /// One map on the device.
@@ -44,8 +43,8 @@ pub(crate) struct Kernel {
     shader: Shader,
     pipeline: wgpu::ComputePipeline,
     shading: wgpu::Buffer,
-    texels: wgpu::Buffer,
-    recurrence: wgpu::Buffer,
+    texels: wgpu::Texture,
+    recurrence: wgpu::Texture,
     numbers: Option<Numbers>,
     band: Option<BoundBand>,
     stats: GpuCacheStats,
@@ -53,7 +52,7 @@ pub(crate) struct Kernel {
 
 /// All pages of the map.
 struct Numbers {
-    buffer: wgpu::Buffer,
+    quads: wgpu::Texture,
     resources: wgpu::BindGroup,
 }
 
@@ -62,24 +61,18 @@ impl Kernel {
         let geometry = ProxyGeometry::new(&map.surface.mesh, &map.surface.part_of_triangle, &map.background);
         let words: Vec<[u32; 2]> =
             map.texels.texels.iter().map(|t| [t.first_quad, u32::from(t.code.number()) | u32::from(t.flags.bits()) << 8]).collect();
-        gpu.check_binding("the table of texels", size_of_val(words.as_slice()) as u64)?;
-        let entries = [
-            binding::read_buffer(0),
-            binding::read_buffer(1),
-            binding::read_buffer(2),
-            binding::read_buffer(3),
-            binding::read_buffer(4),
-            binding::read_buffer(5),
-        ];
+        let [triangles, vertices] = object_entries();
+        let entries = [triangles, vertices, binding::read_buffer(2), binding::uint_texture(3), binding::texture(4), binding::texture(5)];
         let shader = Shader::new(&gpu, "parameter map", SOURCE, &[&band_entries(), &entries]);
-        let none = wgpu::BufferUsages::empty();
+        let codes = || map.texels.texels.iter().map(|t| t.code);
+        let (lobes, harmonics) = (codes().map(ModelCode::lobes).max().unwrap_or(0), codes().any(|c| c.bands().is_some()));
         let kernel = Self {
             rasterizer: Rasterizer::new(&gpu, &geometry)?,
-            pipeline: shader.compute_pipeline(&gpu, "shade", &[]),
+            pipeline: shader.compute_pipeline(&gpu, "shade", &[("LOBES", f64::from(lobes)), ("HARMONICS", f64::from(u8::from(harmonics)))]),
             shader,
             shading: value_buffer::<ShadingUniform>(&gpu, "shading"),
-            texels: storage_buffer(&gpu, "texels", &words, none),
-            recurrence: storage_buffer(&gpu, "recurrence", &harmonic_recurrence(), none),
+            texels: table(&gpu, "rows of the map's texels", wgpu::TextureFormat::Rg32Uint, &words)?,
+            recurrence: table(&gpu, "rows of the harmonics' recurrences", wgpu::TextureFormat::Rg32Float, &harmonic_recurrence())?,
             numbers: None,
             band: None,
             stats: GpuCacheStats::default(),
@@ -99,15 +92,18 @@ impl Kernel {
     }
 
     fn number_bytes(&self) -> u64 {
-        self.map.page_count() as u64 * u64::from(QUADS_PER_PAGE) * 4 * self.map.parameters.pixel_format.bytes() as u64
+        self.quads() * 4 * self.map.parameters.pixel_format.bytes() as u64
+    }
+
+    fn quads(&self) -> u64 {
+        self.map.page_count() as u64 * u64::from(QUADS_PER_PAGE)
     }
 
     fn fixed_bytes(&self) -> u64 {
-        self.rasterizer.bytes() + self.texels.size() + self.recurrence.size()
+        self.rasterizer.bytes() + table_bytes(&self.texels) + table_bytes(&self.recurrence)
     }
 
     fn check_budget(&self) -> Result<(), GpuError> {
-        self.gpu.check_binding("the models' numbers", self.number_bytes())?;
         let (needed_bytes, budget_bytes) = (self.fixed_bytes() + self.number_bytes() + BAND_BYTES, self.budget_bytes);
         match needed_bytes <= budget_bytes {
             true => Ok(()),
@@ -123,21 +119,26 @@ impl Kernel {
             return Ok(0);
         }
         self.check_budget()?;
-        let usage = wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST;
-        let description = wgpu::BufferDescriptor { label: Some("numbers"), size: self.number_bytes(), usage, mapped_at_creation: false };
-        let buffer = self.gpu.device().create_buffer(&description);
+        let format = match self.map.parameters.pixel_format {
+            PixelFormat::F16 => wgpu::TextureFormat::Rgba16Float,
+            PixelFormat::F32 => wgpu::TextureFormat::Rgba32Float,
+        };
+        let quads = empty_table(&self.gpu, "rows of the models' numbers", format, self.quads())?;
         self.gpu.check()?;
         for page in 0..count as u32 {
             let texels = pages.page(PageId(page))?;
             self.map.check_page(page, texels.shape())?;
-            self.gpu.queue().write_buffer(&buffer, u64::from(page) * texels.bytes().len() as u64, texels.bytes());
+            write_table(&self.gpu, &quads, u64::from(page) * u64::from(QUADS_PER_PAGE), texels.bytes());
             // Writes wait in memory until they are submitted.
             self.gpu.queue().submit([]);
         }
-        let [triangles, vertices] = self.rasterizer.object_buffers();
-        let resources = [triangles, vertices, &self.shading, &self.texels, &buffer, &self.recurrence];
-        let resources = self.shader.bind(&self.gpu, 1, &resources.map(wgpu::Buffer::as_entire_binding));
-        self.numbers = Some(Numbers { buffer, resources });
+        let object = self.rasterizer.object_views();
+        let [triangles, vertices] = object.each_ref().map(wgpu::BindingResource::TextureView);
+        let tables = [&self.texels, &quads, &self.recurrence].map(|t| t.create_view(&wgpu::TextureViewDescriptor::default()));
+        let [texels, numbers, recurrence] = tables.each_ref().map(wgpu::BindingResource::TextureView);
+        let resources = [triangles, vertices, self.shading.as_entire_binding(), texels, numbers, recurrence];
+        let resources = self.shader.bind(&self.gpu, 1, &resources);
+        self.numbers = Some(Numbers { quads, resources });
         self.stats.look_ups += count;
         self.stats.misses += count;
         self.stats.uploads += count;
@@ -192,13 +193,12 @@ impl GpuKernel for Kernel {
         let bands = bands(&self.gpu, request.camera)?;
         stats.pages_uploaded = self.ensure_numbers(pages)?;
         stats.pages_millis = millis_since(begin);
-        let half_precision = u32::from(self.map.parameters.pixel_format == PixelFormat::F16);
         let show_what = match settings.show {
             Show::Radiance => 0,
             Show::Models => 1,
             Show::Flags => 2,
         };
-        let uniform = ShadingUniform { size: self.map.texels.size as u32, show_what, half_precision, padding: 0 };
+        let uniform = ShadingUniform { size: self.map.texels.size as u32, show_what };
         self.gpu.queue().write_buffer(&self.shading, 0, bytemuck::bytes_of(&uniform));
         let mut output = FrameOutput::new(request);
         for band in bands {
@@ -230,11 +230,11 @@ impl GpuKernel for Kernel {
 
     fn bytes(&self) -> u64 {
         let band = self.band.as_ref().map_or(0, |b| u64::from(b.band.pixels().min(MAX_BAND_PIXELS)) * BYTES_PER_PIXEL);
-        self.fixed_bytes() + band + self.numbers.as_ref().map_or(0, |n| n.buffer.size())
+        self.fixed_bytes() + band + self.numbers.as_ref().map_or(0, |n| table_bytes(&n.quads))
     }
 
     fn stats(&self) -> GpuCacheStats {
-        let (pages, bytes) = self.numbers.as_ref().map_or((0, 0), |n| (self.map.page_count() as u64, n.buffer.size()));
+        let (pages, bytes) = self.numbers.as_ref().map_or((0, 0), |n| (self.map.page_count() as u64, table_bytes(&n.quads)));
         GpuCacheStats { resident_pages: pages, resident_bytes: bytes, device_bytes: self.bytes(), ..self.stats }
     }
 }

@@ -4,9 +4,6 @@ struct Shading {
     // Texels along the edge of a part.
     size: u32,
     show_what: u32,
-    // Whether numbers are 16 bits wide.
-    half_precision: u32,
-    padding: u32,
 }
 
 struct Texel {
@@ -15,14 +12,19 @@ struct Texel {
     code: u32,
 }
 
-@group(1) @binding(0) var<storage, read> object_triangles: array<u32>;
-@group(1) @binding(1) var<storage, read> object_vertices: array<ObjectVertex>;
+@group(1) @binding(0) var object_triangles: texture_2d<u32>;
+@group(1) @binding(1) var object_vertices: texture_2d<f32>;
 @group(1) @binding(2) var<storage, read> shading: Shading;
-@group(1) @binding(3) var<storage, read> texels: array<Texel>;
+// As `Texel`.
+@group(1) @binding(3) var texels: texture_2d<u32>;
 // All quads, one behind the other.
-@group(1) @binding(4) var<storage, read> numbers: array<u32>;
+@group(1) @binding(4) var quads: texture_2d<f32>;
 // Factors of the harmonics' recurrences: rise and fall of (l, m) at 10 l + m, then `first` of m at 100 + m.
-@group(1) @binding(5) var<storage, read> recurrence: array<vec2<f32>>;
+@group(1) @binding(5) var recurrence: texture_2d<f32>;
+
+// What the map's models have at most. Lanes of a processor pay for every branch, taken or not.
+override LOBES: u32 = 4u;
+override HARMONICS: bool = true;
 
 const RADIANCE: u32 = 0u;
 const MODELS: u32 = 1u;
@@ -45,10 +47,16 @@ fn provenance(answer: u32, sample_index: u32) -> u32 {
 }
 
 fn quad(at: u32) -> vec4<f32> {
-    if shading.half_precision == 1u {
-        return vec4(unpack2x16float(numbers[2u * at]), unpack2x16float(numbers[2u * at + 1u]));
-    }
-    return vec4(bitcast<f32>(numbers[4u * at]), bitcast<f32>(numbers[4u * at + 1u]), bitcast<f32>(numbers[4u * at + 2u]), bitcast<f32>(numbers[4u * at + 3u]));
+    return textureLoad(quads, place_of(at), 0);
+}
+
+fn texel(at: u32) -> Texel {
+    let words = textureLoad(texels, place_of(at), 0);
+    return Texel(words.x, words.y);
+}
+
+fn recurrence_factors(at: u32) -> vec2<f32> {
+    return textureLoad(recurrence, vec2(at, 0u), 0).xy;
 }
 
 // The unit direction of a point of the hemi-octahedral square.
@@ -63,15 +71,11 @@ fn power(x: f32, exponent: f32) -> f32 {
     return select(0.0, exp2(exponent * log2(max(x, 1e-30))), x > 0.0);
 }
 
-fn lobes(first_quad: u32, count: u32, d: vec3<f32>) -> vec3<f32> {
-    var sum = quad(first_quad).xyz;
-    for (var j = 0u; j < count; j++) {
-        let amplitude = quad(first_quad + 1u + 2u * j);
-        let place = quad(first_quad + 2u + 2u * j);
-        let height = dot(axis(place.x + place.z, place.y + place.w), d);
-        sum += amplitude.xyz * power(height, exp(amplitude.w));
-    }
-    return sum;
+fn lobe(at: u32, d: vec3<f32>) -> vec3<f32> {
+    let amplitude = quad(at);
+    let place = quad(at + 1u);
+    let height = dot(axis(place.x + place.z, place.y + place.w), d);
+    return amplitude.xyz * power(height, exp(amplitude.w));
 }
 
 // Of the bands and basis of `known_code`, toward the direction that all texels of this pixel share.
@@ -92,10 +96,10 @@ fn evaluate_functions(bands: u32, is_hemispherical: bool, d: vec3<f32>) {
     var sine = 0.0;
     for (var m = 0u; m < bands; m++) {
         var before = 0.0;
-        var legendre = scale * recurrence[100u + m].x;
+        var legendre = scale * recurrence_factors(100u + m).x;
         for (var l = m; l < bands; l++) {
             if l > m {
-                let factors = recurrence[10u * l + m];
+                let factors = recurrence_factors(10u * l + m);
                 let next = factors.x * p.z * legendre - factors.y * before;
                 before = legendre;
                 legendre = next;
@@ -137,19 +141,29 @@ fn harmonics(first_quad: u32, code: u32, d: vec3<f32>) -> vec3<f32> {
     return max(sum, vec3(0.0));
 }
 
-fn eval(texel: Texel, d: vec3<f32>) -> vec3<f32> {
-    let code = texel.code & 0xffu;
-    if code > 16u {
-        return harmonics(texel.first_quad, code, d);
+fn eval(model: Texel, d: vec3<f32>) -> vec3<f32> {
+    let code = model.code & 0xffu;
+    if HARMONICS {
+        if code > 16u {
+            return harmonics(model.first_quad, code, d);
+        }
     }
-    if code > 2u {
-        return lobes(texel.first_quad, code - 2u, d);
-    }
-    let values = quad(texel.first_quad);
+    let first = quad(model.first_quad);
+    var sum = first.xyz;
     if code == 2u {
-        return values.xyz * power(max(d.z, LEAST_COSINE), values.w);
+        sum *= power(max(d.z, LEAST_COSINE), first.w);
     }
-    return values.xyz;
+    if LOBES > 0u {
+        if code > 2u {
+            sum += lobe(model.first_quad + 1u, d);
+        }
+    }
+    if LOBES > 1u {
+        for (var j = 1u; j + 2u < code; j++) {
+            sum += lobe(model.first_quad + 1u + 2u * j, d);
+        }
+    }
+    return sum;
 }
 
 // In texels, centres at whole numbers.
@@ -192,13 +206,13 @@ fn blend(point: ObjectPoint, direction: vec3<f32>) -> Shaded {
         let step = vec2(f32(k & 1u), f32(k >> 1u));
         let toward = select(1.0 - f, f, step > vec2(0.5));
         let weight = toward.x * toward.y;
-        let texel = texels[texel_index(point.part, low.x + step.x, low.y + step.y)];
-        if (texel.code & 0xffu) == 0u {
+        let corner = texel(texel_index(point.part, low.x + step.x, low.y + step.y));
+        if (corner.code & 0xffu) == 0u {
             is_sure = is_sure && weight == 0.0;
             continue;
         }
-        is_sure = is_sure && ((texel.code >> 8u) & UNRESOLVED) == 0u;
-        sum += weight * eval(texel, d);
+        is_sure = is_sure && ((corner.code >> 8u) & UNRESOLVED) == 0u;
+        sum += weight * eval(corner, d);
         total += weight;
     }
     if !(total > 0.0) {
@@ -231,7 +245,7 @@ fn flags_color(bits: u32) -> vec3<f32> {
 }
 
 fn overlay(index: u32) -> Shaded {
-    let code = texels[index].code;
+    let code = texel(index).code;
     if (code & 0xffu) == 0u {
         return Shaded(vec3(0.0), provenance(3u, index));
     }

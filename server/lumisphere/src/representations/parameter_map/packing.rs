@@ -85,12 +85,13 @@ impl ModelCode {
         }
     }
 
-    // 0 for other models.
-    fn lobes(self) -> u32 {
+    /// 0 for other models.
+    pub(super) fn lobes(self) -> u32 {
         if (COSINE_POWER + 1..=COSINE_POWER + MOST_LOBES).contains(&self.0) { u32::from(self.0 - COSINE_POWER) } else { 0 }
     }
 
-    fn bands(self) -> Option<u32> {
+    /// Of harmonics.
+    pub(super) fn bands(self) -> Option<u32> {
         (self.0 > HEMISPHERICAL).then(|| u32::from(self.0 % HEMISPHERICAL))
     }
 
