@@ -21,7 +21,7 @@ use crate::radiometry::dielectric::{Body, Dielectric};
 use crate::render::{Backend, RenderError, Renderer};
 use crate::representations::g_buffer::{GBufferPixel, Seen};
 use crate::representations::offset_surface_light_field::{
-    Blend, Component, Filter, Gloss, GlossBrdf, OffsetSurfaceLightField, Order, Settings,
+    Blend, Component, Filter, Gloss, GlossBrdf, Integration, OffsetSurfaceLightField, Order, Settings,
 };
 use crate::representations::{
     Answer, CountingSource, FrameRequest, GpuFrameStats, GpuKernel, Outputs, Pixels, Provenance, Refine, RenderError as Error,
@@ -171,6 +171,36 @@ fn glossy_shading_agrees_for_every_model() {
             let (color, provenance) = twins.shaded(&camera, settings, &g_buffer);
             let ours = (pixels.color.as_slice(), pixels.provenance.as_deref().unwrap());
             agree((&color, &provenance), ours, &Tolerance::F32_LOOKUP, TIES).unwrap_or_else(|e| panic!("{settings:?}: {e}"));
+        }
+    }
+}
+
+/// Narrow, wide and brushed highlights.
+#[test]
+fn looks_over_whole_highlights_agree() {
+    let world = World { room: 2.6, ..WORLD };
+    let Some(mut twins) = Twins::new(world.build(), BUDGET) else { return };
+    let camera = world.camera(Vec3::new(1.2, 0.9, 2.4), Vec3::new(0.1, -0.1, 0.0), 40, 30);
+    let models = [
+        r#"{"model": "phong", "diffuse": [0, 0, 0], "specular": [0.5, 0.5, 0.5], "exponent": 50}"#,
+        r#"{"model": "ashikhmin_shirley", "diffuse": [0, 0, 0], "specular": [0.5, 0.5, 0.5], "exponent_u": 10, "exponent_v": 3000}"#,
+        r#"{"model": "ashikhmin_shirley", "diffuse": [0, 0, 0], "specular": [0.5, 0.5, 0.5], "exponent_u": 30000, "exponent_v": 30000}"#,
+        r#"{"model": "cook_torrance", "alpha_x": 0.3, "alpha_y": 0.02, "f0": [0.9, 0.7, 0.3]}"#,
+        r#"{"model": "ward", "diffuse": [0, 0, 0], "specular": [0.4, 0.4, 0.4], "alpha_x": 0.1, "alpha_y": 0.2}"#,
+    ];
+    for brdf in models.map(|json| serde_json::from_str::<AnalyticBrdf>(json).unwrap()) {
+        for blend in [Blend::Average, Blend::Normal { exponent: 4.0 }, Blend::Corrected, Blend::EnvironmentMap] {
+            let gloss = Gloss { integration: Integration::Prefiltered, ..Gloss::of(brdf, 1) };
+            let settings = Settings { filter: Filter::Footprint, ..settings(Component::Glossy(gloss), blend) };
+            let (pixels, _) = twins.on_gpu(&camera, settings).unwrap();
+            let g_buffer = twins.kernel.read_g_buffer();
+            let (color, provenance) = twins.shaded(&camera, settings, &g_buffer);
+            let ours = (pixels.color.as_slice(), pixels.provenance.as_deref().unwrap());
+            agree((&color, &provenance), ours, &Tolerance::F32_LOOKUP, TIES).unwrap_or_else(|e| panic!("{settings:?}: {e}"));
+            // Directions drawn show something else.
+            let drawn = Gloss { integration: Integration::MonteCarlo, ..gloss };
+            let (other, _) = twins.on_gpu(&camera, Settings { component: Component::Glossy(drawn), ..settings }).unwrap();
+            assert_ne!(other.color, pixels.color, "{settings:?}");
         }
     }
 }
