@@ -52,8 +52,8 @@ mod tests {
             CookTorrance::new(Vec2::new(0.05, 0.02), white, white).unwrap().into(),
             Ward::new(none, white, Vec2::new(0.05, 0.2)).unwrap().into(),
         ];
-        for (brdf, (x, y)) in models.iter().flat_map(|m| [(0.0, 0.0), (0.6, 0.0), (-0.3, 0.7)].map(|at| (m, at))) {
-            let wo = Vec3::new(x, y, (1.0 - x * x - y * y as f32).sqrt());
+        for (brdf, (x, y)) in models.iter().flat_map(|m| [(0f32, 0f32), (0.6, 0.0), (-0.3, 0.7)].map(|at| (m, at))) {
+            let wo = Vec3::new(x, y, (1.0 - x * x - y * y).sqrt());
             let (wi, [across, down]) = brdf.highlight_about(wo).unwrap();
             assert!(wi.dot(across).abs() < 1e-6 && wi.dot(down).abs() < 1e-6, "{brdf:?}: not on the sphere about {wi}");
             let area = across.cross(down).length();

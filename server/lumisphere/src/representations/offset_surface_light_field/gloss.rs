@@ -6,7 +6,7 @@
 //! `Σⱼ βⱼ · 1/M Σₛ f_r(v, lⱼₛ) (n·lⱼₛ) / p(lⱼₛ) · Lᵢ(pⱼ; lⱼₛ)`, every sample point has directions of its own and βⱼ is that of the mirror direction. With
 //! `Filter::Footprint` each reads the mean over its share of the lobe, `1/(M·p)` (filtered importance sampling: Křivánek & Colbert 2008),
 //! and of what the pixel covers of a mirror's image: a few tens of directions do then. With `Filter::Bilinear` it reads four
-//! texels, as in the paper, and M directions show as M images of what is bright.
+//! texels, as in the paper, and M directions show as M images of what is bright. A narrow highlight may be one look instead (`prefiltered.rs`).
 //!
 //! A still is the mean of passes: pass k draws the directions kM … (k+1)M − 1 of the one sequence, each with a share of all (k+1)M so far. The
 //! first pass is a frame as it is shown in motion. What a share takes in beside its direction is an error that grows with its solid angle: of
