@@ -9,7 +9,8 @@ use lumisphere_proto::v1alpha1 as wire;
 use serde::{Deserialize, Serialize};
 use wire::offset_surface_light_field_settings::{
     Blend as WireBlend, Component as WireComponent, Filter as WireFilter, Gloss, PointLight, Refraction, Relighting,
-    gloss::Order as WireOrder, refraction::Body as WireBody,
+    gloss::{Integration as WireIntegration, Order as WireOrder},
+    refraction::Body as WireBody,
 };
 use wire::parameter_map_settings::Show;
 use wire::render_settings::Representation;
@@ -73,7 +74,10 @@ pub struct GlossFlags {
     /// {"model": "measured", "file": "gold.binary"}, a MERL table, which is uploaded ("table": HASH names one that was)
     #[arg(long, value_name = "JSON")]
     pub brdf: Option<String>,
-    /// Directions drawn from it for each pixel, 1 to 4096 [default: 64]
+    /// How the light that it reflects is gathered; auto: as measurements say for it, or by so many --directions [default: auto]
+    #[arg(long, value_enum, requires = "brdf")]
+    pub integration: Option<Integration>,
+    /// Directions drawn from it for each pixel, 1 to 4096 [default: as many as it needs]
     #[arg(long, value_name = "N", default_value_t = 0, hide_default_value = true, requires = "brdf")]
     pub directions: u32,
     /// Passes of so many directions each that a frame is the mean of, 1 to 256 [default: 1]
@@ -82,6 +86,18 @@ pub struct GlossFlags {
     /// Whether sample points are blended direction by direction, or first integrated one by one, each with directions of its own [default: blend-first]
     #[arg(long, value_enum, requires = "brdf")]
     pub integration_order: Option<Order>,
+}
+
+/// Ways of gathering the light that a highlight reflects.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Integration {
+    /// As measurements say for the BRDF
+    Auto,
+    /// By directions drawn from it
+    MonteCarlo,
+    /// By one look over all of it
+    Prefiltered,
 }
 
 /// Orders of the double sum over sample points and directions.
@@ -130,7 +146,7 @@ pub struct Looks<'a> {
 impl Looks<'static> {
     /// As captured, and nothing glossy or clear.
     pub fn plain() -> Self {
-        static GLOSS: GlossFlags = GlossFlags { brdf: None, directions: 0, passes: 0, integration_order: None };
+        static GLOSS: GlossFlags = GlossFlags { brdf: None, integration: None, directions: 0, passes: 0, integration_order: None };
         static LIGHT: LightFlags = LightFlags { environment_turn_deg: 0.0, point_light: Vec::new() };
         static CLEAR: ClearFlags = ClearFlags { refraction_index: None, body: None };
         Self { gloss: &GLOSS, light: &LIGHT, clear: &CLEAR, reflections: 0 }
@@ -365,6 +381,12 @@ pub fn settings(
             brdf,
             directions: gloss.directions,
             passes: gloss.passes,
+            integration: match gloss.integration {
+                None | Some(Integration::Auto) => WireIntegration::Unspecified,
+                Some(Integration::MonteCarlo) => WireIntegration::MonteCarlo,
+                Some(Integration::Prefiltered) => WireIntegration::Prefiltered,
+            }
+            .into(),
             order: match gloss.integration_order {
                 None => WireOrder::Unspecified,
                 Some(Order::BlendFirst) => WireOrder::BlendFirst,

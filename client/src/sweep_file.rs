@@ -14,7 +14,9 @@ use crate::cameras::{OrbitFlags, Size, Views, read_cameras};
 use crate::commands::evaluate::Truth;
 use crate::commands::job::codec_message;
 use crate::exit::Failure;
-use crate::render_settings::{Backend, Blend, ClearFlags, Component, Filter, GlossFlags, LightFlags, Looks, Order, settings, table_file};
+use crate::render_settings::{
+    Backend, Blend, ClearFlags, Component, Filter, GlossFlags, Integration, LightFlags, Looks, Order, settings, table_file,
+};
 use crate::scene_source::SceneFlags;
 use crate::sections::{Expected, Section, integer, number, text};
 
@@ -80,6 +82,9 @@ pub struct AskedLooks {
     /// As `--brdf`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub brdf: Option<String>,
+    /// As `--integration`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub integration: Option<Integration>,
     /// As `--directions`.
     #[serde(skip_serializing_if = "is_zero")]
     pub directions: u32,
@@ -111,8 +116,13 @@ impl AskedLooks {
         filter: Filter,
         backend: Backend,
     ) -> wire::RenderSettings {
-        let gloss =
-            GlossFlags { brdf: self.brdf.clone(), directions: self.directions, passes: 0, integration_order: self.integration_order };
+        let gloss = GlossFlags {
+            brdf: self.brdf.clone(),
+            integration: self.integration,
+            directions: self.directions,
+            passes: 0,
+            integration_order: self.integration_order,
+        };
         let light = LightFlags { environment_turn_deg: self.environment_turn_deg.unwrap_or(0.0), point_light: Vec::new() };
         let clear = ClearFlags { refraction_index: self.refraction_index, body: None };
         settings(
@@ -349,6 +359,7 @@ impl LookAxes {
         let reflections = s.axis("reflections", &count("1 to 4", &|v| integer(v, 1, 4)))?;
         let brdf = s.value("brdf", &Expected { text: "a BRDF's JSON, as --brdf,", read: &text })?;
         let brdf = brdf.map(|json| with_table_in(&json, folder)).transpose()?;
+        let integrations = s.axis("integrations", &one_of::<Integration>(&choices::<Integration>()))?;
         let directions = s.axis("directions", &count("1 to 4096", &|v| integer(v, 1, 4096)))?;
         let orders = s.axis("integration_orders", &one_of::<Order>(&choices::<Order>()))?;
         let is_glossy = components.contains(&Component::Glossy);
@@ -356,7 +367,8 @@ impl LookAxes {
             return Err(s.error("brdf and the component glossy go together").into());
         }
         for (given, takers, key) in [
-            (directions.is_some(), &[Component::Glossy][..], "directions"),
+            (integrations.is_some(), &[Component::Glossy][..], "integrations"),
+            (directions.is_some(), &[Component::Glossy], "directions"),
             (orders.is_some(), &[Component::Glossy], "integration_orders"),
             (indices.is_some(), &[Component::Refraction], "refraction_indices"),
             (reflections.is_some(), &[Component::Mirror, Component::Full], "reflections"),
@@ -368,7 +380,14 @@ impl LookAxes {
         let others = crossed(&[AskedLooks::default()], &turns, |looks, turn| looks.environment_turn_deg = *turn);
         let refraction = crossed(&others, &indices.unwrap_or(vec![None]), |looks, index| looks.refraction_index = *index);
         let mirrors = crossed(&others, &reflections.unwrap_or(vec![0]), |looks, n| looks.reflections = *n);
-        let mut glossy = crossed(&others, &directions.unwrap_or(vec![0]), |looks, n| looks.directions = *n);
+        let integrations: Vec<Option<Integration>> = integrations.map_or(vec![None], |all| all.into_iter().map(Some).collect());
+        let mut glossy = Vec::new();
+        for looks in crossed(&others, &integrations, |looks, integration| looks.integration = *integration) {
+            // One look, or as many directions as it takes, is one setting.
+            let takes_directions = matches!(looks.integration, None | Some(Integration::MonteCarlo));
+            let directions = directions.clone().filter(|_| takes_directions).unwrap_or(vec![0]);
+            glossy.extend(crossed(&[looks], &directions, |looks, n| looks.directions = *n));
+        }
         let orders: Vec<Option<Order>> = orders.map_or(vec![None], |orders| orders.into_iter().map(Some).collect());
         glossy = crossed(&glossy, &orders, |looks, order| looks.integration_order = *order);
         glossy.iter_mut().for_each(|looks| looks.brdf.clone_from(&brdf));
@@ -530,6 +549,17 @@ mod tests {
         assert_eq!(missing, "s.toml: capture.object is missing");
         let view = parse(&format!("{LEAST}[views]\nsize = \"big\"")).unwrap_err();
         assert_eq!(view, "s.toml: views.size is \"big\", \"WIDTHxHEIGHT\" expected");
+    }
+
+    #[test]
+    fn directions_are_of_monte_carlo_alone() {
+        let text = "datasets = \"a\"\n[settings]\ncomponents = \"glossy\"\nblends = \"distance\"\nbrdf = \"{}\"\n
+            integrations = [\"auto\", \"prefiltered\", \"monte-carlo\"]\ndirections = [8, 16]";
+        let asked = |file: SweepFile| file.settings.iter().map(|s| (s.asked.integration, s.asked.directions)).collect::<Vec<_>>();
+        let [auto, one_look, drawn] = [Integration::Auto, Integration::Prefiltered, Integration::MonteCarlo].map(Some);
+        assert_eq!(asked(parse(text).unwrap()), [(auto, 0), (one_look, 0), (drawn, 8), (drawn, 16)]);
+        let mirror = parse("datasets = \"a\"\n[settings]\nblends = \"distance\"\nintegrations = \"auto\"").unwrap_err();
+        assert_eq!(mirror, "s.toml: settings.integrations is there, but no component of components takes one");
     }
 
     #[test]

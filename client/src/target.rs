@@ -25,6 +25,7 @@ pub fn alone_or_chosen(argument: clap::Arg) -> clap::Arg {
         ["component", "blend", "specular", "filter", "backend"].as_slice(),
         &[
             "brdf",
+            "integration",
             "directions",
             "passes",
             "integration_order",

@@ -6,6 +6,7 @@ use lumisphere_proto::v1alpha1 as wire;
 use prost_types::Timestamp;
 use serde::Serialize;
 use serde_json::Value;
+use wire::offset_surface_light_field_settings::gloss::Integration;
 
 use crate::exit::code_name;
 
@@ -223,6 +224,12 @@ pub struct Frame {
     pub is_final: bool,
     /// That the picture is the mean of.
     pub passes_done: u32,
+    /// "monte-carlo" or "prefiltered": of a glossy picture, how light was gathered.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub integration: Option<&'static str>,
+    /// Of the first: directions of each pixel and pass.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub directions: Option<u32>,
     /// From request to answer, as seen here.
     pub round_trip_millis: f64,
     /// Inside the server.
@@ -461,6 +468,15 @@ impl From<wire::JobResult> for JobResult {
 impl From<wire::JobEvent> for JobEvent {
     fn from(e: wire::JobEvent) -> Self {
         Self { sequence: e.sequence, time: time(e.time), job: e.job.unwrap_or_default().into() }
+    }
+}
+
+/// "monte-carlo" or "prefiltered"; None of a frame that has nothing to integrate.
+pub fn integration_name(integration: Integration) -> Option<&'static str> {
+    match integration {
+        Integration::Unspecified => None,
+        Integration::MonteCarlo => Some("monte-carlo"),
+        Integration::Prefiltered => Some("prefiltered"),
     }
 }
 

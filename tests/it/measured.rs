@@ -50,7 +50,7 @@ fn rendered(server: &Server, folder: &Path, name: &str, flags: &[&str]) -> Pictu
 fn glossy(brdf: &str) -> wire::RenderSettings {
     let mut settings = settings(Component::Glossy, Blend::Average);
     if let Some(Representation::OffsetSurfaceLightField(field)) = &mut settings.representation {
-        field.gloss = Some(Gloss { brdf: brdf.into(), directions: 8, passes: 1, order: 0 });
+        field.gloss = Some(Gloss { brdf: brdf.into(), directions: 8, passes: 1, order: 0, integration: 0 });
     }
     settings
 }

@@ -37,7 +37,7 @@ fn glossy(directions: u32) -> wire::RenderSettings {
     let mut settings = settings(Component::Glossy, Blend::Distance);
     if let Some(Representation::OffsetSurfaceLightField(field)) = &mut settings.representation {
         let brdf = r#"{"model": "ward", "diffuse": [0.1, 0.1, 0.1], "specular": [0.5, 0.5, 0.5], "alpha_x": 0.3, "alpha_y": 0.3}"#;
-        field.gloss = Some(Gloss { brdf: brdf.into(), directions, passes: 0, order: 0 });
+        field.gloss = Some(Gloss { brdf: brdf.into(), directions, passes: 0, order: 0, integration: 0 });
     }
     settings
 }

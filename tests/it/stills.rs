@@ -4,6 +4,7 @@ use std::time::{Duration, Instant};
 
 use lumisphere_proto::v1alpha1 as wire;
 use tonic::Code;
+use wire::offset_surface_light_field_settings::gloss::Integration;
 use wire::offset_surface_light_field_settings::{Blend, Component, Gloss};
 use wire::render_settings::Representation;
 
@@ -24,7 +25,7 @@ fn glossy_of(component: Component, directions: u32, passes: u32) -> wire::Render
     let mut settings = settings(component, Blend::Average);
     if let Some(Representation::OffsetSurfaceLightField(field)) = &mut settings.representation {
         let brdf = r#"{"model": "ward", "diffuse": [0.1, 0.1, 0.1], "specular": [0.5, 0.5, 0.5], "alpha_x": 0.3, "alpha_y": 0.3}"#;
-        field.gloss = Some(Gloss { brdf: brdf.into(), directions, passes, order: 0 });
+        field.gloss = Some(Gloss { brdf: brdf.into(), directions, passes, order: 0, integration: 0 });
     }
     settings
 }
@@ -273,4 +274,37 @@ async fn the_command_line_renders_stills_alone_and_in_a_stream() {
         .map(|(out, flags)| shown(out, flags));
     assert_eq!(many, streamed);
     assert_ne!(one, many);
+}
+
+/// A narrow highlight is one look unless directions are asked for, a wider one 32 or 64 directions; a look is one pass, whatever is asked.
+#[tokio::test]
+async fn a_frame_tells_how_its_highlight_was_gathered() {
+    let (_folder, server) = with_dataset().await;
+    let of = |alpha: f32, directions, integration: Integration| {
+        let mut settings = glossy_of(Component::Glossy, directions, 4);
+        if let Some(Representation::OffsetSurfaceLightField(field)) = &mut settings.representation {
+            let brdf = format!(r#"{{"model": "cook_torrance", "alpha_x": {alpha}, "alpha_y": {alpha}, "f0": [0.9, 0.7, 0.3]}}"#);
+            field.gloss = Some(Gloss { brdf, directions, passes: 4, order: 0, integration: integration.into() });
+        }
+        settings
+    };
+    for (asked, expected) in [
+        (of(0.005, 0, Integration::Unspecified), (Integration::Prefiltered, 0, 1)),
+        (of(0.05, 0, Integration::Unspecified), (Integration::MonteCarlo, 32, 4)),
+        (of(0.3, 0, Integration::Unspecified), (Integration::MonteCarlo, 64, 4)),
+        (of(0.005, 6, Integration::Unspecified), (Integration::MonteCarlo, 6, 4)),
+        (of(0.3, 6, Integration::Prefiltered), (Integration::Prefiltered, 0, 1)),
+        (settings(Component::Mirror, Blend::Average), (Integration::Unspecified, 0, 1)),
+    ] {
+        let frame = alone(&server, camera(SIZE.0, SIZE.1), asked.clone()).await;
+        assert_eq!((frame.integration(), frame.directions, frame.passes_done), expected, "{asked:?}");
+    }
+    let bilinear = 2;
+    let mut refused = of(0.3, 0, Integration::Prefiltered);
+    if let Some(Representation::OffsetSurfaceLightField(field)) = &mut refused.representation {
+        field.filter = bilinear;
+    }
+    let request = wire::RenderFrameRequest { camera: Some(camera(8, 8)), settings: Some(refused), ..frame_request(DATASET) };
+    let refused = server.rendering().await.render_frame(request).await.unwrap_err();
+    assert_eq!(fields(&refused), ["settings.offset_surface_light_field.gloss.integration"]);
 }

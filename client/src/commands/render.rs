@@ -164,6 +164,8 @@ fn frame_view(index: usize, camera: &str, file: String, frame: &wire::Frame, rou
         adapter: frame.adapter.clone(),
         is_final: frame.is_final,
         passes_done: frame.passes_done,
+        integration: views::integration_name(frame.integration()),
+        directions: (frame.directions > 0).then_some(frame.directions),
         round_trip_millis: 1e3 * round_trip.as_secs_f64(),
         timings_micros: views::Timings { queue: t.queue_micros, pages: t.pages_micros, render: t.render_micros, encode: t.encode_micros },
         cache: frame.cache.unwrap_or_default().into(),
@@ -173,8 +175,13 @@ fn frame_view(index: usize, camera: &str, file: String, frame: &wire::Frame, rou
 fn frame_text(f: &views::Frame) -> String {
     let t = &f.timings_micros;
     let millis = |micros: u64| micros as f64 / 1e3;
+    let gathered = match (f.integration, f.directions) {
+        (Some(_), Some(directions)) => format!("  {directions} directions"),
+        (Some(name), None) => format!("  {name}"),
+        (None, _) => String::new(),
+    };
     format!(
-        "{}  {}x{}  {}  {:.1} ms (queue {:.1}, pages {:.1}, render {:.1}, encode {:.1})  cache {} of {}",
+        "{}  {}x{}  {}  {:.1} ms (queue {:.1}, pages {:.1}, render {:.1}, encode {:.1})  cache {} of {}{gathered}",
         f.file,
         f.width_px,
         f.height_px,

@@ -474,6 +474,7 @@ fn encode(still: &mut Still, metrics: &Metrics) -> Result<EncodedFrame, ApiError
         is_final,
         all_pages,
         passes_done: still.passes(),
+        gloss: still.order.settings.settings.gloss().filter(|_| still.order.settings.ground_truth.is_none()),
         is_key,
         stream_number: number,
     })

@@ -170,6 +170,7 @@ mod tests {
         exponent: Some(4.0),
         filter: "footprint",
         light: None,
+        integration: None,
         directions: None,
         body: None,
         reflections: None,

@@ -13,6 +13,7 @@ pub struct Gpu {
     queue: wgpu::Queue,
     adapter: String,
     driver: String,
+    is_software: bool,
     // First failure that no call has reported yet.
     failure: Arc<Mutex<Option<String>>>,
     is_lost: Arc<AtomicBool>,
@@ -41,7 +42,13 @@ impl Gpu {
         });
         let info = adapter.get_info();
         let driver = format!("{} {}, {:?}", info.driver, info.driver_info, info.backend);
-        Ok(Self { device, queue, adapter: info.name, driver, failure, is_lost })
+        let is_software = info.device_type == wgpu::DeviceType::Cpu;
+        Ok(Self { device, queue, adapter: info.name, driver, is_software, failure, is_lost })
+    }
+
+    /// Whether the processor does the work.
+    pub(crate) fn is_software(&self) -> bool {
+        self.is_software
     }
 
     /// The adapter's name, as its driver gives it.

@@ -84,6 +84,9 @@ pub struct SettingName {
     /// `turned-90-1-lights`; None in the light that was captured.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub light: Option<String>,
+    /// `prefiltered`, where one look takes in the whole highlight.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub integration: Option<&'static str>,
     /// Directions of each pixel, where it is the mean over some.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub directions: Option<u32>,
@@ -134,8 +137,9 @@ impl Settings {
                     exponent,
                     filter: s.filter.name(),
                     light: s.light.name(),
+                    integration: s.is_prefiltered().then_some(oslf::Integration::Prefiltered.name()),
                     directions: match s.component {
-                        oslf::Component::Glossy(gloss) => Some(gloss.directions),
+                        oslf::Component::Glossy(gloss) if !gloss.is_prefiltered() => Some(gloss.directions),
                         _ => None,
                     },
                     body: self.dielectric().map(|dielectric| dielectric.name()),
@@ -149,6 +153,7 @@ impl Settings {
                 exponent: None,
                 filter: "bilinear",
                 light: None,
+                integration: None,
                 directions: None,
                 body: None,
                 reflections: None,
@@ -159,9 +164,14 @@ impl Settings {
 
     /// The BRDF that the object is shown with, where it is another than its own or a mirror's.
     pub fn brdf(&self) -> Option<oslf::GlossBrdf> {
+        self.gloss().map(|gloss| gloss.brdf)
+    }
+
+    /// The same, and how what it reflects is gathered.
+    pub fn gloss(&self) -> Option<oslf::Gloss> {
         match self {
             Self::OffsetSurfaceLightField(s) => match s.component {
-                oslf::Component::Glossy(gloss) => Some(gloss.brdf),
+                oslf::Component::Glossy(gloss) => Some(gloss),
                 oslf::Component::Reconstruction | oslf::Component::Mirror | oslf::Component::Full | oslf::Component::Refraction(_) => None,
             },
             Self::ParameterMap(_) => None,
@@ -188,11 +198,11 @@ impl Settings {
     pub fn of_pass(self, pass: u32) -> Option<Self> {
         match self {
             Self::OffsetSurfaceLightField(s) => match s.component {
-                oslf::Component::Glossy(gloss) => {
+                oslf::Component::Glossy(gloss) if !gloss.is_prefiltered() => {
                     let component = oslf::Component::Glossy(oslf::Gloss { pass, ..gloss });
                     Some(Self::OffsetSurfaceLightField(oslf::Settings { component, ..s }))
                 }
-                oslf::Component::Reconstruction | oslf::Component::Mirror | oslf::Component::Full | oslf::Component::Refraction(_) => None,
+                _ => None,
             },
             Self::ParameterMap(_) => None,
         }
@@ -204,7 +214,7 @@ impl Settings {
         let most = oslf::MOST_DIRECTIONS_PER_FRAME;
         match self {
             Self::OffsetSurfaceLightField(oslf::Settings { component: oslf::Component::Glossy(gloss), .. })
-                if pixels.saturating_mul(gloss.directions.into()) > most =>
+                if !gloss.is_prefiltered() && pixels.saturating_mul(gloss.directions.into()) > most =>
             {
                 Err(RenderError::TooManyDirections { pixels, directions: gloss.directions, most })
             }

@@ -3,11 +3,12 @@
 use bytes::Bytes;
 use lumisphere::geometry::Camera;
 use lumisphere::gpu::GpuCacheStats;
+use lumisphere::representations::offset_surface_light_field::Gloss;
 use lumisphere::textures::CacheStats;
 
 use super::camera::camera_message;
 use super::proto;
-use super::settings::{Encoding, encoding_number};
+use super::settings::{Encoding, encoding_number, integration_number};
 use crate::depth_plane::EncodedDepth;
 use crate::frame_use::AdapterUse;
 
@@ -36,6 +37,8 @@ pub struct EncodedFrame {
     pub all_pages: bool,
     /// That the colour is the mean of.
     pub passes_done: u32,
+    /// How a highlight was gathered, where one was.
+    pub gloss: Option<Gloss>,
     /// Whether the colour can be decoded without the frames before.
     pub is_key: bool,
     /// In a stream of H.264, from 1; 0 for another encoding.
@@ -159,6 +162,8 @@ pub fn frame(frame: EncodedFrame, identity: FrameIdentity) -> proto::Frame {
         adapter: frame.adapter.unwrap_or_default(),
         is_final: frame.is_final,
         passes_done: frame.passes_done,
+        integration: frame.gloss.map_or(0, |gloss| integration_number(&gloss)),
+        directions: frame.gloss.filter(|gloss| !gloss.is_prefiltered()).map_or(0, |gloss| gloss.directions),
         is_key: frame.is_key,
     }
 }

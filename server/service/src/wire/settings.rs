@@ -18,8 +18,6 @@ use crate::errors::{ApiError, Reason};
 
 /// Of `Gloss.brdf`: more than any model needs.
 const MAX_BRDF_BYTES: usize = 2048;
-/// Default of `Gloss.directions`.
-const DEFAULT_DIRECTIONS: u32 = 64;
 /// Default of `Refraction.index`: glass.
 const DEFAULT_INDEX: f32 = 1.5;
 /// Default N of the blends that have one.
@@ -203,7 +201,8 @@ fn parameter_map_settings(message: proto::ParameterMapSettings, field: &str) -> 
 
 fn oslf_settings(message: proto::OffsetSurfaceLightFieldSettings, field: &str) -> Result<oslf::Settings, ApiError> {
     use proto::offset_surface_light_field_settings::Blend;
-    let component = component(message.component, (message.gloss, message.refraction), field)?;
+    let filter = filter(message.filter, &format!("{field}.filter"))?;
+    let component = component(message.component, (message.gloss, message.refraction), filter, field)?;
     let exponent = within(message.exponent.unwrap_or(DEFAULT_EXPONENT), 0.0, 10_000.0, &format!("{field}.exponent"))?;
     let blend = match component {
         // Corrected or not: of others anything will do, nonsense included.
@@ -217,7 +216,6 @@ fn oslf_settings(message: proto::OffsetSurfaceLightFieldSettings, field: &str) -
     for (channel, value) in ["x", "y", "z"].into_iter().zip(specular_reflectance.to_array()) {
         within(value, 0.0, 1.0, &format!("{field}.specular_reflectance.{channel}"))?;
     }
-    let filter = filter(message.filter, &format!("{field}.filter"))?;
     let light = message.relighting.map_or(Ok(Relighting::NONE), |m| relighting(m, &format!("{field}.relighting")))?;
     let reflections = count(message.reflections, 1, 1, oslf::MOST_REFLECTIONS, &format!("{field}.reflections"))?;
     Ok(oslf::Settings { component, blend, specular_reflectance, filter, light, reflections })
@@ -262,6 +260,7 @@ fn component(
         Option<proto::offset_surface_light_field_settings::Gloss>,
         Option<proto::offset_surface_light_field_settings::Refraction>,
     ),
+    filter: oslf::Filter,
     field: &str,
 ) -> Result<oslf::Component, ApiError> {
     use proto::offset_surface_light_field_settings::Component;
@@ -269,7 +268,7 @@ fn component(
         Ok(Component::Reconstruction) => Ok(oslf::Component::Reconstruction),
         Ok(Component::Mirror) => Ok(oslf::Component::Mirror),
         Ok(Component::Full) => Ok(oslf::Component::Full),
-        Ok(Component::Glossy) => Ok(oslf::Component::Glossy(self::gloss(gloss, &format!("{field}.gloss"))?)),
+        Ok(Component::Glossy) => Ok(oslf::Component::Glossy(self::gloss(gloss, filter, &format!("{field}.gloss"))?)),
         Ok(Component::Refraction) => Ok(oslf::Component::Refraction(self::refraction(refraction, &format!("{field}.refraction"))?)),
         Ok(Component::Unspecified) | Err(_) => {
             let field = format!("{field}.component");
@@ -278,7 +277,11 @@ fn component(
     }
 }
 
-fn gloss(message: Option<proto::offset_surface_light_field_settings::Gloss>, field: &str) -> Result<oslf::Gloss, ApiError> {
+fn gloss(
+    message: Option<proto::offset_surface_light_field_settings::Gloss>,
+    filter: oslf::Filter,
+    field: &str,
+) -> Result<oslf::Gloss, ApiError> {
     use proto::offset_surface_light_field_settings::gloss::Order;
     let message = required(message, field)?;
     let wrong = |problem: String| ApiError::field(format!("{field}.brdf"), problem);
@@ -293,11 +296,43 @@ fn gloss(message: Option<proto::offset_surface_light_field_settings::Gloss>, fie
             return Err(ApiError::field(format!("{field}.order"), format!("{}, BLEND_FIRST or INTEGRATE_FIRST expected", message.order)));
         }
     };
-    let directions = if message.directions == 0 { DEFAULT_DIRECTIONS } else { message.directions };
-    if directions > oslf::MOST_DIRECTIONS {
-        return Err(ApiError::field(format!("{field}.directions"), format!("{directions}, 1 to {} expected", oslf::MOST_DIRECTIONS)));
+    let given = message.directions;
+    if given > oslf::MOST_DIRECTIONS {
+        return Err(ApiError::field(format!("{field}.directions"), format!("{given}, 1 to {} expected", oslf::MOST_DIRECTIONS)));
     }
-    Ok(oslf::Gloss { brdf, order, directions, pass: 0 })
+    let suited = oslf::Gloss::suited(brdf, filter);
+    let integration = integration(message.integration, &suited, (given, filter), &format!("{field}.integration"))?;
+    let directions = if given == 0 { suited.directions } else { given };
+    Ok(oslf::Gloss { brdf, integration, order, directions, pass: 0 })
+}
+
+/// As asked for; where nothing is, `suited`'s, unless directions are given.
+fn integration(
+    value: i32,
+    suited: &oslf::Gloss,
+    (directions, filter): (u32, oslf::Filter),
+    field: &str,
+) -> Result<oslf::Integration, ApiError> {
+    use proto::offset_surface_light_field_settings::gloss::Integration;
+    match Integration::try_from(value) {
+        Ok(Integration::Unspecified) if directions == 0 => Ok(suited.integration),
+        Ok(Integration::Unspecified | Integration::MonteCarlo) => Ok(oslf::Integration::MonteCarlo),
+        Ok(Integration::Prefiltered) if filter == oslf::Filter::Bilinear => {
+            Err(ApiError::field(field, "PREFILTERED with the filter BILINEAR, which reads no means; FOOTPRINT expected"))
+        }
+        Ok(Integration::Prefiltered) if !suited.brdf.is_one_highlight() => Err(ApiError::field(
+            field,
+            "PREFILTERED for a BRDF of more than one highlight; one without a diffuse part, of one lobe, expected",
+        )),
+        Ok(Integration::Prefiltered) => Ok(oslf::Integration::Prefiltered),
+        Err(_) => Err(ApiError::field(field, format!("{value}, MONTE_CARLO or PREFILTERED expected"))),
+    }
+}
+
+/// On the wire.
+pub fn integration_number(gloss: &oslf::Gloss) -> i32 {
+    use proto::offset_surface_light_field_settings::gloss::Integration;
+    (if gloss.is_prefiltered() { Integration::Prefiltered } else { Integration::MonteCarlo }) as i32
 }
 
 /// `{"model": "measured", "table": HASH}`, or a model's parameters.
@@ -334,7 +369,10 @@ fn refraction(message: Option<proto::offset_surface_light_field_settings::Refrac
 /// `gloss` is ignored for what is not glossy, its passes included.
 fn passes_of(settings: &oslf::Settings, passes: u32, field: &str) -> Result<u32, ApiError> {
     match settings.component {
-        oslf::Component::Glossy(_) => count(passes, 1, 1, oslf::MOST_PASSES, &format!("{field}.gloss.passes")),
+        oslf::Component::Glossy(gloss) => {
+            let passes = count(passes, 1, 1, oslf::MOST_PASSES, &format!("{field}.gloss.passes"))?;
+            Ok(if gloss.is_prefiltered() { 1 } else { passes })
+        }
         oslf::Component::Reconstruction | oslf::Component::Mirror | oslf::Component::Full | oslf::Component::Refraction(_) => Ok(1),
     }
 }
@@ -458,7 +496,8 @@ mod tests {
         assert!(refused(3, 77).starts_with("s.blend: 77"));
         assert!(refused(4, 1).starts_with("s.gloss"));
         let glossy = |brdf: &str, directions| {
-            let gloss = proto::offset_surface_light_field_settings::Gloss { brdf: brdf.into(), directions, passes: 0, order: 0 };
+            let gloss =
+                proto::offset_surface_light_field_settings::Gloss { brdf: brdf.into(), directions, passes: 0, order: 0, integration: 0 };
             oslf_settings(proto::OffsetSurfaceLightFieldSettings { gloss: Some(gloss), ..message(4, 1) }, "s")
         };
         let lambert = r#"{"model": "lambert", "albedo": [0.5, 0.5, 0.5]}"#;
@@ -481,7 +520,8 @@ mod tests {
         let oslf::Component::Glossy(gloss) = glossy(&table, 1).unwrap().component else { panic!("glossy") };
         assert_eq!((gloss.brdf.table(), gloss.order), (Some(ContentHash([0xab; 32])), oslf::Order::BlendFirst));
         let ordered = |order| {
-            let gloss = proto::offset_surface_light_field_settings::Gloss { brdf: lambert.into(), directions: 1, passes: 0, order };
+            let gloss =
+                proto::offset_surface_light_field_settings::Gloss { brdf: lambert.into(), directions: 1, passes: 0, order, integration: 0 };
             oslf_settings(proto::OffsetSurfaceLightFieldSettings { gloss: Some(gloss), ..message(4, 1) }, "s")
         };
         assert_eq!(ordered(2).unwrap().order(), Some(oslf::Order::IntegrateFirst));
@@ -498,6 +538,42 @@ mod tests {
         let with = |reflections| oslf_settings(proto::OffsetSurfaceLightFieldSettings { reflections, ..message(2, 5) }, "s");
         assert_eq!([0, 1, 4].map(|n| with(n).unwrap().reflections), [1, 1, 4]);
         assert!(with(5).unwrap_err().to_string().starts_with("s.reflections: 5, 1 to 4 expected"));
+    }
+
+    #[test]
+    fn a_highlight_is_gathered_as_asked_or_as_suits_it() {
+        use oslf::Integration::{MonteCarlo, Prefiltered};
+        let of = |brdf: &str, directions, filter, integration| {
+            let gloss =
+                proto::offset_surface_light_field_settings::Gloss { brdf: brdf.into(), directions, passes: 7, order: 0, integration };
+            let field = proto::OffsetSurfaceLightFieldSettings { gloss: Some(gloss), filter, ..message(4, 1) };
+            let representation = Some(proto::render_settings::Representation::OffsetSurfaceLightField(field));
+            let settings = render_settings(Some(proto::RenderSettings { representation, ..Default::default() }), "s")?;
+            Ok::<_, ApiError>((settings.settings.gloss().unwrap().integration, settings.passes))
+        };
+        let ggx = |alpha: f32| format!(r#"{{"model": "cook_torrance", "alpha_x": {alpha}, "alpha_y": {alpha}, "f0": [0.9, 0.9, 0.9]}}"#);
+        let (narrow, wide, matt) = (&ggx(0.005), &ggx(0.3), r#"{"model": "lambert", "albedo": [0.5, 0.5, 0.5]}"#);
+        // (directions, filter, integration); one look is one pass.
+        for (brdf, (directions, filter, integration), expected) in [
+            (narrow.as_str(), (0, 0, 0), (Prefiltered, 1)),
+            (narrow, (0, 1, 0), (Prefiltered, 1)),
+            (narrow, (8, 0, 0), (MonteCarlo, 7)),
+            (narrow, (0, 2, 0), (MonteCarlo, 7)),
+            (narrow, (0, 0, 1), (MonteCarlo, 7)),
+            (wide, (0, 0, 0), (MonteCarlo, 7)),
+            (wide, (8, 0, 2), (Prefiltered, 1)),
+            (matt, (0, 0, 0), (MonteCarlo, 7)),
+        ] {
+            assert_eq!(of(brdf, directions, filter, integration).unwrap(), expected, "{brdf} {directions} {filter} {integration}");
+        }
+        for (brdf, (filter, integration), problem) in [
+            (narrow.as_str(), (2, 2), "PREFILTERED with the filter BILINEAR"),
+            (matt, (0, 2), "PREFILTERED for a BRDF of more than one highlight"),
+            (narrow, (0, 3), "3, MONTE_CARLO or PREFILTERED expected"),
+        ] {
+            let error = of(brdf, 0, filter, integration).unwrap_err().to_string();
+            assert!(error.starts_with(&format!("s.offset_surface_light_field.gloss.integration: {problem}")), "{error}");
+        }
     }
 
     #[test]
@@ -552,7 +628,7 @@ mod tests {
     fn passes_are_of_glossy_stills_alone_and_bounded() {
         let with = |component, passes| {
             let brdf = r#"{"model": "lambert", "albedo": [0.5, 0.5, 0.5]}"#.into();
-            let gloss = proto::offset_surface_light_field_settings::Gloss { brdf, directions: 0, passes, order: 0 };
+            let gloss = proto::offset_surface_light_field_settings::Gloss { brdf, directions: 0, passes, order: 0, integration: 0 };
             let field = proto::OffsetSurfaceLightFieldSettings { gloss: Some(gloss), ..message(component, 1) };
             let representation = Some(proto::render_settings::Representation::OffsetSurfaceLightField(field));
             render_settings(Some(proto::RenderSettings { representation, ..Default::default() }), "s").map(|s| s.passes)

@@ -55,10 +55,10 @@ impl AshikhminShirley {
 
     fn sample_half(&self, u: Vec2) -> Vec3 {
         // The paper's φ = atan(√((n_u+1)/(n_v+1)) tan ψ), for all quadrants at once.
-        let (sin, cos) = (TAU * u.x).sin_cos();
+        let (sin, cos) = (TAU * u.y).sin_cos();
         let across = Vec2::new(cos * (self.exponents.y + 1.0).sqrt(), sin * (self.exponents.x + 1.0).sqrt()).normalize();
         let n = self.exponents.x * across.x * across.x + self.exponents.y * across.y * across.y;
-        let t = -(1.0 - u.y).ln() / (n + 1.0);
+        let t = -(1.0 - u.x).ln() / (n + 1.0);
         (across * one_minus_exp(2.0 * t).sqrt()).extend((-t).exp())
     }
 

@@ -28,7 +28,8 @@ struct BrdfUniform {
     f90: vec3<f32>,
     model: u32,
     across: vec2<f32>,
-    padding: vec2<f32>,
+    // Sides of the highlight.
+    highlight: vec2<f32>,
     first: LobeUniform,
     second: LobeUniform,
     third: LobeUniform,
@@ -170,10 +171,10 @@ fn ashikhmin_shirley_half_pdf(brdf: BrdfUniform, h: vec3<f32>) -> f32 {
 }
 
 fn ashikhmin_shirley_sample_half(brdf: BrdfUniform, u: vec2<f32>) -> vec3<f32> {
-    let angle = BRDF_TAU * u.x;
+    let angle = BRDF_TAU * u.y;
     let across = normalize(vec2(cos(angle) * sqrt(brdf.across.y + 1.0), sin(angle) * sqrt(brdf.across.x + 1.0)));
     let n = brdf.across.x * across.x * across.x + brdf.across.y * across.y * across.y;
-    let t = -log(1.0 - u.y) / (n + 1.0);
+    let t = -log(1.0 - u.x) / (n + 1.0);
     return vec3(across * sqrt(one_minus_exp(2.0 * t)), exp(-t));
 }
 
@@ -206,9 +207,9 @@ fn cook_torrance_lambda(brdf: BrdfUniform, w: vec3<f32>) -> f32 {
 
 fn cook_torrance_sample_facet(brdf: BrdfUniform, wo: vec3<f32>, u: vec2<f32>) -> vec3<f32> {
     let stretched = normalize(vec3(brdf.across * wo.xy, wo.z));
-    let z = (1.0 - u.y) * (1.0 + stretched.z) - stretched.z;
+    let z = (1.0 - u.x) * (1.0 + stretched.z) - stretched.z;
     let radius = sqrt(max(1.0 - z * z, 0.0));
-    let h = vec3(radius * cos(BRDF_TAU * u.x), radius * sin(BRDF_TAU * u.x), z) + stretched;
+    let h = vec3(radius * cos(BRDF_TAU * u.y), radius * sin(BRDF_TAU * u.y), z) + stretched;
     let m = vec3(brdf.across * h.xy, max(h.z, 0.0));
     let size = length(m);
     return select(vec3(0.0, 0.0, 1.0), m / size, size > 0.0);

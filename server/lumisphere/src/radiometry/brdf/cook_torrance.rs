@@ -48,9 +48,9 @@ impl CookTorrance {
     fn sample_facet(&self, wo: Vec3, u: Vec2) -> Vec3 {
         // Stretched until the facets form a hemisphere, what they mirror `wo` to covers the sphere above −wo.z evenly.
         let stretched = Vec3::new(self.alpha.x * wo.x, self.alpha.y * wo.y, wo.z).normalize();
-        let z = (1.0 - u.y) * (1.0 + stretched.z) - stretched.z;
+        let z = (1.0 - u.x) * (1.0 + stretched.z) - stretched.z;
         let radius = (1.0 - z * z).max(0.0).sqrt();
-        let (sin, cos) = (TAU * u.x).sin_cos();
+        let (sin, cos) = (TAU * u.y).sin_cos();
         let h = Vec3::new(radius * cos, radius * sin, z) + stretched;
         Vec3::new(self.alpha.x * h.x, self.alpha.y * h.y, h.z.max(0.0)).normalize_or(Vec3::Z)
     }

@@ -197,6 +197,6 @@ fn the_uniform_lies_in_memory_as_the_shader_reads_it() {
     assert_same_layout!(
         SOURCE,
         "BrdfUniform",
-        BrdfUniform { diffuse, exponent, specular, specular_share, f90, model, across, padding, first, second, third }
+        BrdfUniform { diffuse, exponent, specular, specular_share, f90, model, across, highlight, first, second, third }
     );
 }

@@ -21,6 +21,7 @@ mod ashikhmin_shirley;
 mod cook_torrance;
 #[cfg(all(test, feature = "gpu"))]
 pub(crate) mod gpu_equals_cpu_tests;
+mod highlight;
 mod lafortune;
 mod lambert;
 mod lobes;

@@ -37,8 +37,8 @@ pub struct BrdfUniform {
     pub model: u32,
     /// Along +X and +Y: Ashikhmin–Shirley's exponents, or α.
     pub across: Vec2,
-    /// Nothing.
-    pub padding: Vec2,
+    /// Sides of the highlight ([`AnalyticBrdf::highlight`]); 0 where there is not one alone.
+    pub highlight: Vec2,
     /// Lafortune's lobes.
     pub first: LobeUniform,
     /// Lafortune's lobes.
@@ -62,7 +62,8 @@ impl AnalyticBrdf {
 
     /// Its numbers, for a pipeline whose `BRDF_MODEL` is its `number`.
     pub fn uniform(&self) -> BrdfUniform {
-        let base = BrdfUniform { model: self.number(), ..BrdfUniform::zeroed() };
+        let highlight = self.highlight().unwrap_or(Vec2::ZERO);
+        let base = BrdfUniform { model: self.number(), highlight, ..BrdfUniform::zeroed() };
         match self {
             Self::Lambert(m) => BrdfUniform { diffuse: m.albedo, ..base },
             Self::Phong(m) => {

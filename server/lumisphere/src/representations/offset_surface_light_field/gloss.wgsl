@@ -4,6 +4,8 @@ const OVERLAP: f32 = 4.0;
 
 // Whether sample points are integrated one by one.
 override INTEGRATES_FIRST: bool = false;
+// Whether one look takes in the whole highlight.
+override PREFILTERED: bool = false;
 
 // Texels in a row of the table: 2 to this power.
 const TABLE_BITS: u32 = 11u;
@@ -38,32 +40,41 @@ fn glossy(at: Sight, across: Sight, down: Sight, tangent: vec3<f32>, candidates:
     }
     var radiance = vec3(0.0);
     var is_filled = blend.answer != HIT;
-    let sharing = shading.first_direction + shading.directions;
-    for (var k = 0u; k < select(1u, 4u, INTEGRATES_FIRST); k++) {
-        let share = component(blend.weights, k);
-        if share <= 0.0 {
-            continue;
-        }
-        let own = select(0u, element(candidates, k), INTEGRATES_FIRST);
-        var integral = vec3(0.0);
-        for (var number = shading.first_direction; number < sharing; number++) {
-            let drawn = brdf_sample(gloss, wo, place(number, own));
-            if drawn.pdf > 0.0 {
-                let weight = brdf_eval(gloss, wo, drawn.wi) * (drawn.wi.z / drawn.pdf);
-                let solid_angle = OVERLAP / (f32(sharing) * drawn.pdf) + covered;
-                let look = spread(world_from_local(frame, drawn.wi), solid_angle);
-                if INTEGRATES_FIRST {
-                    integral += weight * read_cube(own, look);
-                } else {
-                    let found = radiance_toward(at, across, down, look, candidates);
-                    integral += weight * found.radiance;
-                    is_filled |= (found.provenance >> 30u) != HIT;
+    if PREFILTERED {
+        let highlight = highlight_about(wo);
+        let found = radiance_toward(at, across, down, over_highlight(frame, highlight, at.normal, pixel), candidates);
+        let density = brdf_pdf(gloss, wo, highlight.wi);
+        let weight = select(vec3(0.0), brdf_eval(gloss, wo, highlight.wi) * (highlight.wi.z / density), density > 0.0);
+        radiance = weight * found.radiance;
+        is_filled = (found.provenance >> 30u) != HIT;
+    } else {
+        let sharing = shading.first_direction + shading.directions;
+        for (var k = 0u; k < select(1u, 4u, INTEGRATES_FIRST); k++) {
+            let share = component(blend.weights, k);
+            if share <= 0.0 {
+                continue;
+            }
+            let own = select(0u, element(candidates, k), INTEGRATES_FIRST);
+            var integral = vec3(0.0);
+            for (var number = shading.first_direction; number < sharing; number++) {
+                let drawn = brdf_sample(gloss, wo, place(number, own));
+                if drawn.pdf > 0.0 {
+                    let weight = brdf_eval(gloss, wo, drawn.wi) * (drawn.wi.z / drawn.pdf);
+                    let solid_angle = OVERLAP / (f32(sharing) * drawn.pdf) + covered;
+                    let look = spread(world_from_local(frame, drawn.wi), solid_angle);
+                    if INTEGRATES_FIRST {
+                        integral += weight * read_cube(own, look);
+                    } else {
+                        let found = radiance_toward(at, across, down, look, candidates);
+                        integral += weight * found.radiance;
+                        is_filled |= (found.provenance >> 30u) != HIT;
+                    }
                 }
             }
+            radiance += share * integral;
         }
-        radiance += share * integral;
+        radiance /= f32(shading.directions);
     }
-    radiance /= f32(shading.directions);
     if RELIT {
         for (var number = 0u; number < light.point_light_count; number++) {
             let to_light = light.point_lights[number].position - at.position;
@@ -79,10 +90,14 @@ fn glossy(at: Sight, across: Sight, down: Sight, tangent: vec3<f32>, candidates:
 }
 
 fn place(number: u32, own: u32) -> vec2<f32> {
-    let x = (number + 1u) * 3242174889u + own * 2654435769u;
-    let y = (number + 1u) * 2447445413u + own * 3367900313u;
-    return vec2(f32(x >> 8u), f32(y >> 8u)) / 16777216.0;
+    let stratum = 0xffffffffu / shading.directions;
+    let within = (stratum >> 16u) * (((number / shading.directions) * GOLDEN + 0x80000000u) >> 16u);
+    let across = (number % shading.directions) * stratum + within + own * 2447445413u;
+    let around = number * GOLDEN + 0x80000000u + own * 3367900313u;
+    return vec2(f32(across >> 8u), f32(around >> 8u)) / 16777216.0;
 }
+
+const GOLDEN: u32 = 2654435769u;
 
 // Not filtered, a kernel reads a single direction whatever its derivatives.
 fn spread(direction: vec3<f32>, solid_angle: f32) -> DirectionDifferential {

@@ -46,6 +46,7 @@ pub(crate) const SOURCE: &str = concat!(
     include_str!("refraction.wgsl"),
     include_str!("../../geometry/tangent_frame.wgsl"),
     include_str!("../../radiometry/brdf/brdf.wgsl"),
+    include_str!("prefiltered.wgsl"),
     include_str!("gloss.wgsl")
 );
 
@@ -137,9 +138,9 @@ pub(crate) struct Kernel {
     earlier: GpuCacheStats,
 }
 
-// Component and whether it sees itself, blend, BRDF and order, textures of the atlas, whether reads are filtered, whether coarse levels stand
+// Component and whether it sees itself, blend, BRDF, order and whether prefiltered, textures of the atlas, whether reads are filtered, whether coarse levels stand
 // in, how light is another.
-type PipelineKey = ((u32, bool), u32, (u32, bool), usize, bool, bool, (bool, bool));
+type PipelineKey = ((u32, bool), u32, (u32, bool, bool), usize, bool, bool, (bool, bool));
 
 struct BoundAtlas {
     atlas: Atlas,
@@ -369,7 +370,8 @@ impl Kernel {
     fn pipeline(&mut self, settings: &Settings, stand_in: bool) -> PipelineKey {
         let textures = self.atlas.as_ref().map_or(1, |a| a.atlas.texture_count());
         let filtered = settings.filter == Filter::Footprint;
-        let brdf = gloss(settings.component).map_or((0, false), |gloss| (brdf_number(gloss.brdf), gloss.integrates_first(settings.blend)));
+        let brdf = gloss(settings.component)
+            .map_or((0, false, false), |gloss| (brdf_number(gloss.brdf), gloss.integrates_first(settings.blend), gloss.is_prefiltered()));
         let key = (
             (component_number(settings.component), settings.sees_itself()),
             blend_number(settings),
@@ -385,6 +387,7 @@ impl Kernel {
             ("BLEND", f64::from(key.1)),
             ("BRDF_MODEL", f64::from(key.2.0)),
             ("INTEGRATES_FIRST", f64::from(u8::from(key.2.1))),
+            ("PREFILTERED", f64::from(u8::from(key.2.2))),
             ("ATLAS_TEXTURES", textures as f64),
             ("FILTERED", f64::from(u8::from(filtered))),
             ("STAND_IN", f64::from(u8::from(stand_in))),

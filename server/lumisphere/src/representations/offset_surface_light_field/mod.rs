@@ -25,6 +25,7 @@ mod gloss;
 #[cfg(feature = "gpu")]
 mod kernel;
 mod object_tree;
+mod prefiltered;
 mod reference;
 mod reflections;
 mod refraction;
@@ -76,6 +77,15 @@ pub const MOST_REFLECTIONS: u32 = 4;
 pub const MOST_PASSES: u32 = 256;
 /// Most of a frame, over all its pixels: 1920 × 1080 of 64 each; on a rasteriser in software that is a minute.
 pub const MOST_DIRECTIONS_PER_FRAME: u64 = 1 << 27;
+/// Sides ([`AnalyticBrdf::highlight`]) up to which one look shows a highlight nearly as well as drawn directions: Ashikhmin–Shirley's n of 3000, Phong's
+/// of 750, Ward's α of .025 (docs/measurements.md, "How a highlight is best gathered"; the same of what follows).
+const NARROW: f32 = 0.092;
+/// The same of GGX, whose tails are not in the look: α of .01.
+const NARROW_WITH_TAILS: f32 = 0.036;
+/// Up to which half the directions show it as well: n of 30, Phong's of 7, α of .25.
+const WIDE: f32 = 0.91;
+/// Directions of what is wider, or not one highlight alone; twice as many show little more.
+const DIRECTIONS_OF_WIDE: u32 = 64;
 /// Marks "no such sample point" in a sample map.
 pub const NO_SAMPLE: u16 = u16::MAX;
 
@@ -179,6 +189,8 @@ pub enum Component {
 pub struct Gloss {
     /// Its diffuse part included.
     pub brdf: GlossBrdf,
+    /// By how many looks. What follows is of [`Integration::MonteCarlo`] only.
+    pub integration: Integration,
     /// In which order sample points are blended and directions summed.
     pub order: Order,
     /// Directions drawn from it, 1 to [`MOST_DIRECTIONS`], and at most [`MOST_DIRECTIONS_PER_FRAME`] for all pixels.
@@ -195,6 +207,26 @@ pub enum GlossBrdf {
     Analytic(AnalyticBrdf),
     /// By MERL's table with this hash, which comes with the request ([`FrameRequest::table`](crate::representations::FrameRequest::table)).
     Measured(ContentHash),
+}
+
+/// How the light that a lobe reflects is gathered.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Integration {
+    /// From directions drawn from the BRDF.
+    MonteCarlo,
+    /// By one look at each sample point, over the whole highlight, of a BRDF that has one and nothing else
+    /// ([`AnalyticBrdf::highlight`]); of others as [`Self::MonteCarlo`].
+    Prefiltered,
+}
+
+impl Integration {
+    /// On the command line and in reports.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::MonteCarlo => "monte-carlo",
+            Self::Prefiltered => "prefiltered",
+        }
+    }
 }
 
 /// The two orders of the double sum over sample points and directions. They have one limit where the weights βⱼ do not depend on the direction.
@@ -222,7 +254,33 @@ impl Order {
 impl Gloss {
     /// The first pass, sample points blended direction by direction.
     pub fn of(brdf: impl Into<GlossBrdf>, directions: u32) -> Self {
-        Self { brdf: brdf.into(), order: Order::BlendFirst, directions, pass: 0 }
+        Self { brdf: brdf.into(), integration: Integration::MonteCarlo, order: Order::BlendFirst, directions, pass: 0 }
+    }
+
+    /// The highlight that is read as a whole, in tangent space; None where directions are drawn.
+    fn highlight_about(&self, wo: Vec3) -> Option<(Vec3, [Vec3; 2])> {
+        match (self.integration, &self.brdf) {
+            (Integration::Prefiltered, GlossBrdf::Analytic(brdf)) => brdf.highlight_about(wo),
+            (Integration::Prefiltered, GlossBrdf::Measured(_)) | (Integration::MonteCarlo, _) => None,
+        }
+    }
+
+    /// Whether that is so for every direction.
+    pub fn is_prefiltered(&self) -> bool {
+        self.highlight_about(Vec3::Z).is_some()
+    }
+
+    /// As measurements say: with as little work as shows it nearly as well as more would (docs/measurements.md, "How a highlight is best gathered").
+    pub fn suited(brdf: GlossBrdf, filter: Filter) -> Self {
+        let drawn = Self::of(brdf, Self::enough_directions(&brdf));
+        // Single directions know no means.
+        let suits = filter == Filter::Footprint && brdf.is_narrow();
+        if suits { Self { integration: Integration::Prefiltered, ..drawn } } else { drawn }
+    }
+
+    /// Of Monte Carlo.
+    pub fn enough_directions(brdf: &GlossBrdf) -> u32 {
+        if brdf.is_at_most(WIDE) { DIRECTIONS_OF_WIDE / 2 } else { DIRECTIONS_OF_WIDE }
     }
 
     /// Number of its first direction in the sequence that all passes share.
@@ -254,6 +312,22 @@ impl GlossBrdf {
             Self::Analytic(brdf) => Some(brdf.into()),
             Self::Measured(_) => table.cloned().map(BrdfModel::Measured),
         }
+    }
+
+    /// Whether it has one highlight and nothing else.
+    pub fn is_one_highlight(&self) -> bool {
+        matches!(self, Self::Analytic(brdf) if brdf.highlight().is_some())
+    }
+
+    /// Whether one look shows its only highlight nearly as well as directions drawn from it.
+    fn is_narrow(&self) -> bool {
+        let has_tails = matches!(self, Self::Analytic(AnalyticBrdf::CookTorrance(_)));
+        self.is_at_most(if has_tails { NARROW_WITH_TAILS } else { NARROW })
+    }
+
+    /// Whether it is one highlight with no longer sides.
+    fn is_at_most(&self, side: f32) -> bool {
+        matches!(self, Self::Analytic(brdf) if brdf.highlight().is_some_and(|sides| sides.max_element() <= side))
     }
 
     /// Of the table that it needs.
@@ -320,9 +394,15 @@ impl Settings {
         self.sees_itself() || matches!(self.component, Component::Refraction(_))
     }
 
+    /// Whether one look at each sample point takes in a highlight.
+    pub fn is_prefiltered(&self) -> bool {
+        matches!(self.component, Component::Glossy(gloss) if gloss.is_prefiltered())
+    }
+
     /// In which order light is blended and summed, where it is summed over directions.
     pub fn order(&self) -> Option<Order> {
         match self.component {
+            Component::Glossy(gloss) if gloss.is_prefiltered() => None,
             Component::Glossy(gloss) if gloss.integrates_first(self.blend) => Some(Order::IntegrateFirst),
             Component::Glossy(_) => Some(Order::BlendFirst),
             Component::Reconstruction | Component::Mirror | Component::Full | Component::Refraction(_) => None,

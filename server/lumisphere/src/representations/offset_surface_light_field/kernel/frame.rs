@@ -31,6 +31,9 @@ pub(super) const MOST_DIRECTIONS_AT_ONCE: u32 = 1 << 22;
 // Which pages a depth-corrected read wants depends on what others hold: seldom on more than two, one after the other.
 const MOST_ROUNDS: u32 = 8;
 
+// By an adapter in software: with 96 its frames were right, with 128 they were not (docs/measurements.md, "How a highlight is best gathered").
+const MOST_DIRECTIONS_CORRECTED: u64 = 64;
+
 /// A frame of which some bands are done.
 struct FrameInProgress<'a, 'p> {
     request: &'a FrameRequest<'a>,
@@ -68,11 +71,22 @@ pub(super) enum Fidelity {
 }
 
 impl Kernel {
+    // llvmpipe, lavapipe's compiler, ends all loops of an invocation after 65,536 rounds together, without a word, and the blend `corrected`
+    // marches for every direction.
+    fn check_directions(&self, settings: &Settings) -> Result<(), GpuError> {
+        let marches = self.gpu.is_software() && settings.blend == Blend::Corrected;
+        let Some(gloss) = super::gloss(settings.component).filter(|gloss| marches && !gloss.is_prefiltered()) else { return Ok(()) };
+        let (needed, limit) = (u64::from(gloss.directions), MOST_DIRECTIONS_CORRECTED);
+        let what = "a depth-corrected glossy pixel in directions a pass";
+        if needed > limit { Err(GpuError::BeyondLimit { what, needed, limit }) } else { Ok(()) }
+    }
+
     pub(super) fn draw(&mut self, request: &FrameRequest<'_>, pages: &CountingSource<'_>) -> Result<(Pixels, GpuFrameStats), RenderError> {
         let AnySettings::OffsetSurfaceLightField(settings) = request.settings else {
             return Err(RenderError::OtherKind { settings: request.settings.kind() });
         };
         let bands = frame_output::bands(&self.gpu, request.camera)?;
+        self.check_directions(settings)?;
         self.ensure_light(settings, pages)?;
         self.ensure_tree(settings, pages)?;
         self.ensure_table(request, settings, pages)?;

@@ -8,9 +8,11 @@ use glam::{Quat, Vec2, Vec3};
 use super::fixture::{MemoryPages, WORLD, World, environment_radiance};
 use super::{frame_of, mirror};
 use crate::geometry::{TangentFrame, tangent_along_u};
-use crate::radiometry::brdf::{AnalyticBrdf, AshikhminShirley, Brdf, CookTorrance, Lambert};
+use crate::radiometry::brdf::{AnalyticBrdf, AshikhminShirley, Brdf, CookTorrance, Lambert, Phong};
 use crate::render::Accumulator;
-use crate::representations::offset_surface_light_field::{Blend, Component, Filter, Gloss, OffsetSurfaceLightField, Order, Settings};
+use crate::representations::offset_surface_light_field::{
+    Blend, Component, Filter, Gloss, GlossBrdf, Integration, OffsetSurfaceLightField, Order, Settings,
+};
 use crate::representations::{Answer, Pixels, RenderError, Settings as AnySettings};
 use crate::testdata::golden::assert_golden;
 use crate::textures::{Page, PixelFormat};
@@ -170,7 +172,7 @@ fn the_mean_of_passes_goes_to_the_integral() {
         assert!(*error < 1.5 * errors[0] * harmonic / passes, "{passes} passes: {error} of {errors:?}");
     }
     // 0.074 of the first's, and what is left of the sequence's own error.
-    assert!(errors[3] < 0.035, "{errors:?}");
+    assert!(errors[3] < 0.11 * errors[0], "{errors:?}");
 }
 
 /// The sun of 10⁵ is on single directions' images in later passes, whose shares are small; their mean has none of them.
@@ -197,6 +199,7 @@ fn passes_under_a_sun_of_a_hundred_thousand_leave_no_firefly() {
 fn what_is_no_glossy_frame_has_one_pass() {
     let of = |component| AnySettings::OffsetSurfaceLightField(Settings { component, ..mirror(Blend::Average) });
     assert!([Component::Reconstruction, Component::Mirror, Component::Full].into_iter().all(|c| of(c).of_pass(1).is_none()));
+    assert!(AnySettings::OffsetSurfaceLightField(gathered(cook_torrance(0.4), Integration::Prefiltered)).of_pass(1).is_none());
     assert_eq!(AnySettings::OffsetSurfaceLightField(glossy(cook_torrance(0.4), 8)).of_pass(0).unwrap(), {
         AnySettings::OffsetSurfaceLightField(glossy(cook_torrance(0.4), 8))
     });
@@ -236,4 +239,89 @@ fn both_orders_go_to_one_integral() {
     println!("blend first {blended:?}, integrate first {integrated:?}");
     assert!(blended[2] < 0.003 && integrated[2] < 0.003, "{blended:?} {integrated:?}");
     assert!(integrated[1] < 0.9 * blended[1], "{blended:?} {integrated:?}");
+}
+
+fn ashikhmin_shirley(exponent: f32) -> AnalyticBrdf {
+    AshikhminShirley::new(Vec3::ZERO, Vec3::splat(0.9), Vec2::splat(exponent)).unwrap().into()
+}
+
+fn gathered(brdf: AnalyticBrdf, integration: Integration) -> Settings {
+    let gloss = Gloss { integration, ..Gloss::suited(brdf.into(), Filter::Footprint) };
+    Settings { component: Component::Glossy(gloss), ..glossy(brdf, 1) }
+}
+
+/// ∫ f L cos over the world itself, by directions that are others for each pixel.
+fn one_reflection(world: &World, brdf: &AnalyticBrdf, n: Vec3, d: Vec3, seed: f32) -> Vec3 {
+    const DIRECTIONS: u32 = 4096;
+    let frame = TangentFrame::around(n);
+    let wo = frame.local_from_world(-d);
+    let place = |k: u32| (Vec2::new(seed, 1.7 * seed) + k as f32 * Vec2::new(0.754_877_7, 0.569_840_3)).fract();
+    let drawn = (0..DIRECTIONS).filter_map(|k| brdf.sample(wo, place(k)));
+    let light = |(wi, pdf): (Vec3, f32)| brdf.eval(wo, wi) * (wi.z / pdf) * world.surroundings(n, frame.world_from_local(wi)).0;
+    drawn.map(light).sum::<Vec3>() / DIRECTIONS as f32
+}
+
+/// Root mean square of what two frames differ by on a display, 1 being white.
+fn error_on_display(world: &World, brdf: &AnalyticBrdf, pixels: &Pixels) -> f32 {
+    let shown = |radiance: Vec3| radiance / (1.0 + radiance);
+    let (mut sum, mut count) = (0.0, 0);
+    for_sphere_pixels(pixels, 0.3, |n, d, radiance| {
+        sum += (shown(radiance) - shown(one_reflection(world, brdf, n, d, count as f32 * 0.37))).length_squared();
+        count += 1;
+    });
+    (sum / (3 * count) as f32).sqrt()
+}
+
+/// Wide highlights under a small sun need directions, narrow ones need no more than a look: neither way is much better than the one that suits.
+#[test]
+fn the_integration_that_suits_a_highlight_errs_little_more_than_the_other() {
+    let world = World { sun: 60.0, face_size: 64, ..FINE };
+    let (field, pages) = world.build();
+    let mut worst_other = 1f32;
+    for exponent in [3.0, 10.0, 30.0, 100.0, 300.0, 1000.0, 3000.0, 10_000.0, 30_000.0] {
+        let brdf = ashikhmin_shirley(exponent);
+        let error = |integration| error_on_display(&world, &brdf, &shown(&field, &pages, gathered(brdf, integration)));
+        let (drawn, one_look) = (error(Integration::MonteCarlo), error(Integration::Prefiltered));
+        let suited = Gloss::suited(brdf.into(), Filter::Footprint).integration;
+        println!("n = {exponent}: drawn {drawn:.4}, one look {one_look:.4}, {suited:?} suits");
+        let (chosen, other) = if suited == Integration::Prefiltered { (one_look, drawn) } else { (drawn, one_look) };
+        assert!(chosen < 1.2 * other + 0.002, "n = {exponent}: {chosen} where the other errs by {other}");
+        worst_other = worst_other.max(other / chosen);
+    }
+    // Otherwise there would be nothing to choose.
+    assert!(worst_other > 2.0, "{worst_other}");
+}
+
+#[test]
+fn one_look_suits_a_single_narrow_highlight_read_by_footprint_alone() {
+    let suits = |brdf: GlossBrdf, filter| Gloss::suited(brdf, filter).integration;
+    let narrow: GlossBrdf = ashikhmin_shirley(30_000.0).into();
+    assert_eq!(suits(narrow, Filter::Footprint), Integration::Prefiltered);
+    // Single directions know no means.
+    assert_eq!(suits(narrow, Filter::Bilinear), Integration::MonteCarlo);
+    assert_eq!([30.0, 10.0].map(|n| Gloss::suited(ashikhmin_shirley(n).into(), Filter::Footprint).directions), [32, 64]);
+    let brushed = AshikhminShirley::new(Vec3::ZERO, Vec3::splat(0.9), Vec2::new(30_000.0, 10.0)).unwrap();
+    let coated = AshikhminShirley::new(Vec3::splat(0.1), Vec3::splat(0.5), Vec2::splat(30_000.0)).unwrap();
+    let matt = Lambert::new(Vec3::splat(0.5)).unwrap();
+    for drawn in [brushed.into(), coated.into(), AnalyticBrdf::from(matt)] {
+        assert_eq!(suits(drawn.into(), Filter::Footprint), Integration::MonteCarlo, "{drawn:?}");
+    }
+}
+
+/// What a facet reflects of 1: Fresnel's term, for Phong cos θ (n + 2)/(n + 1).
+#[test]
+fn one_look_in_a_white_furnace_shows_what_the_highlight_reflects() {
+    let (field, mut pages) = FINE.build();
+    for page in &mut pages.0 {
+        *page = Arc::new(Page::from_f32(page.shape(), &vec![1.0; page.shape().values()]).unwrap());
+    }
+    for_sphere_pixels(&shown(&field, &pages, gathered(ashikhmin_shirley(1000.0), Integration::Prefiltered)), 0.1, |n, d, radiance| {
+        let expected = 0.9 + 0.1 * (1.0 + n.dot(d)).powi(5);
+        assert!((radiance - expected).length() < 2e-3, "{radiance} at {n}, {expected} expected");
+    });
+    let phong = Phong::new(Vec3::ZERO, Vec3::new(0.7, 0.5, 0.2), 1000.0).unwrap().into();
+    for_sphere_pixels(&shown(&field, &pages, gathered(phong, Integration::Prefiltered)), 0.1, |n, d, radiance| {
+        let expected = Vec3::new(0.7, 0.5, 0.2) * (-n.dot(d) * 1002.0 / 1001.0);
+        assert!((radiance - expected).length() < 2e-3, "{radiance} at {n}, {expected} expected");
+    });
 }

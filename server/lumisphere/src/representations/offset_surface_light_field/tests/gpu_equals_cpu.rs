@@ -16,12 +16,12 @@ use crate::gpu::layout_check::assert_same_layout;
 use crate::gpu::{GpuError, test_gpu};
 use crate::images::{Tolerance, count_beyond, elements_agree};
 use crate::radiometry::brdf::tests as brdf_tests;
-use crate::radiometry::brdf::{AnalyticBrdf, BrdfModel, Measured, Ward};
+use crate::radiometry::brdf::{AnalyticBrdf, BrdfModel, CookTorrance, Measured, Ward};
 use crate::radiometry::dielectric::{Body, Dielectric};
 use crate::render::{Backend, RenderError, Renderer};
 use crate::representations::g_buffer::{GBufferPixel, Seen};
 use crate::representations::offset_surface_light_field::{
-    Blend, Component, Filter, Gloss, GlossBrdf, OffsetSurfaceLightField, Order, Settings,
+    Blend, Component, Filter, Gloss, GlossBrdf, Integration, OffsetSurfaceLightField, Order, Settings,
 };
 use crate::representations::{
     Answer, CountingSource, FrameRequest, GpuFrameStats, GpuKernel, Outputs, Pixels, Provenance, Refine, RenderError as Error,
@@ -171,6 +171,36 @@ fn glossy_shading_agrees_for_every_model() {
             let (color, provenance) = twins.shaded(&camera, settings, &g_buffer);
             let ours = (pixels.color.as_slice(), pixels.provenance.as_deref().unwrap());
             agree((&color, &provenance), ours, &Tolerance::F32_LOOKUP, TIES).unwrap_or_else(|e| panic!("{settings:?}: {e}"));
+        }
+    }
+}
+
+/// Narrow, wide and brushed highlights.
+#[test]
+fn looks_over_whole_highlights_agree() {
+    let world = World { room: 2.6, ..WORLD };
+    let Some(mut twins) = Twins::new(world.build(), BUDGET) else { return };
+    let camera = world.camera(Vec3::new(1.2, 0.9, 2.4), Vec3::new(0.1, -0.1, 0.0), 40, 30);
+    let models = [
+        r#"{"model": "phong", "diffuse": [0, 0, 0], "specular": [0.5, 0.5, 0.5], "exponent": 50}"#,
+        r#"{"model": "ashikhmin_shirley", "diffuse": [0, 0, 0], "specular": [0.5, 0.5, 0.5], "exponent_u": 10, "exponent_v": 3000}"#,
+        r#"{"model": "ashikhmin_shirley", "diffuse": [0, 0, 0], "specular": [0.5, 0.5, 0.5], "exponent_u": 30000, "exponent_v": 30000}"#,
+        r#"{"model": "cook_torrance", "alpha_x": 0.3, "alpha_y": 0.02, "f0": [0.9, 0.7, 0.3]}"#,
+        r#"{"model": "ward", "diffuse": [0, 0, 0], "specular": [0.4, 0.4, 0.4], "alpha_x": 0.1, "alpha_y": 0.2}"#,
+    ];
+    for brdf in models.map(|json| serde_json::from_str::<AnalyticBrdf>(json).unwrap()) {
+        for blend in [Blend::Average, Blend::Normal { exponent: 4.0 }, Blend::Corrected, Blend::EnvironmentMap] {
+            let gloss = Gloss { integration: Integration::Prefiltered, ..Gloss::of(brdf, 1) };
+            let settings = Settings { filter: Filter::Footprint, ..settings(Component::Glossy(gloss), blend) };
+            let (pixels, _) = twins.on_gpu(&camera, settings).unwrap();
+            let g_buffer = twins.kernel.read_g_buffer();
+            let (color, provenance) = twins.shaded(&camera, settings, &g_buffer);
+            let ours = (pixels.color.as_slice(), pixels.provenance.as_deref().unwrap());
+            agree((&color, &provenance), ours, &Tolerance::F32_LOOKUP, TIES).unwrap_or_else(|e| panic!("{settings:?}: {e}"));
+            // Directions drawn show something else.
+            let drawn = Gloss { integration: Integration::MonteCarlo, ..gloss };
+            let (other, _) = twins.on_gpu(&camera, Settings { component: Component::Glossy(drawn), ..settings }).unwrap();
+            assert_ne!(other.color, pixels.color, "{settings:?}");
         }
     }
 }
@@ -432,6 +462,26 @@ fn a_frame_that_cannot_be_drawn_falls_back_to_the_cpu_and_says_why() {
     assert_eq!((frame.stats.backend, frame.stats.fallback), (Backend::Gpu, None));
     assert!(frame.stats.page_use.hits > 0 && large.gpu_bytes() > 0 && large.gpu_bytes() <= BUDGET);
     assert_eq!((frame.pixels.depth, frame.pixels.provenance), (None, None));
+}
+
+/// In software alone: its loops end too early, and it would not say so.
+#[test]
+fn a_corrected_frame_of_many_directions_is_not_drawn_in_software() {
+    let Some(gpu) = test_gpu().filter(|gpu| gpu.is_software()) else { return };
+    let (field, pages) = World { room: 2.6, ..WORLD }.build();
+    let mut kernel = Kernel::new(gpu, Arc::new(field), BUDGET).unwrap();
+    let camera = WORLD.camera(Vec3::new(1.2, 0.9, 2.4), Vec3::ZERO, 8, 6);
+    let brdf: AnalyticBrdf = CookTorrance::new(Vec2::splat(0.3), Vec3::splat(0.9), Vec3::ONE).unwrap().into();
+    for (blend, directions, is_drawn) in [(Blend::Corrected, 64, true), (Blend::Corrected, 65, false), (Blend::Average, 65, true)] {
+        let any = AnySettings::OffsetSurfaceLightField(settings(Component::Glossy(Gloss::of(brdf, directions)), blend));
+        let outputs = Outputs { depth: false, provenance: false };
+        let request = FrameRequest { camera: &camera, settings: &any, outputs, refine: Refine::Whole, table: None };
+        let drawn = kernel.render(&request, &CountingSource::new(&pages));
+        assert_eq!(drawn.is_ok(), is_drawn, "{blend:?} {directions}");
+        if let Err(error) = drawn {
+            assert_eq!(error.to_string(), "a depth-corrected glossy pixel in directions a pass needs 65, the adapter allows 64");
+        }
+    }
 }
 
 #[test]
