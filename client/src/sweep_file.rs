@@ -389,7 +389,14 @@ impl LookAxes {
             glossy.extend(crossed(&[looks], &directions, |looks, n| looks.directions = *n));
         }
         let orders: Vec<Option<Order>> = orders.map_or(vec![None], |orders| orders.into_iter().map(Some).collect());
-        glossy = crossed(&glossy, &orders, |looks, order| looks.integration_order = *order);
+        glossy = glossy
+            .into_iter()
+            .flat_map(|looks| {
+                let takes_order = looks.integration != Some(Integration::Prefiltered);
+                let orders = if takes_order { orders.as_slice() } else { &[None] };
+                crossed(&[looks], orders, |looks, order| looks.integration_order = *order)
+            })
+            .collect();
         glossy.iter_mut().for_each(|looks| looks.brdf.clone_from(&brdf));
         Ok(Self { glossy, refraction, mirrors, others })
     }

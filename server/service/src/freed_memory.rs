@@ -19,7 +19,8 @@ const INTERVAL: Duration = Duration::from_secs(1);
 const LARGE_BYTES: libc::c_int = 128 << 10;
 
 /// A heap's free end up to this size stays with it. A frame on lavapipe takes and frees more than 32 MiB in pieces, and each page of those that had gone
-/// back to the system comes with a fault: a frame took 1.10 to 1.15 times as long. When pages were evicted the end goes back all the same.
+/// back to the system comes with a fault: a frame took 1.10 to 1.15 times as long. When pages were evicted the end goes back all the same; while
+/// none are, each heap of glibc's (a few for every core) may keep so much that no budget counts.
 #[cfg(target_env = "gnu")]
 const KEPT_BYTES: libc::c_int = 64 << 20;
 

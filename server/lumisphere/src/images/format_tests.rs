@@ -328,8 +328,8 @@ fn a_jpeg_of_radiance_is_that_of_its_codes() {
             assert!(file == encode_jpeg(&codes, JpegQuality::STREAM).unwrap(), "{width} × {height}, {tone_map:?}");
         }
     }
-    for width in [0, 2, 1 << 16] {
-        let refused = encode_jpeg_pixels(&vec![[0.0; 3]; width + 1], width, ToneMap::PLAIN, JpegQuality::STREAM);
+    for (pixels, width) in [(1, 0), (3, 2), (1 << 16, 1 << 16)] {
+        let refused = encode_jpeg_pixels(&vec![[0.0; 3]; pixels], width, ToneMap::PLAIN, JpegQuality::STREAM);
         assert!(matches!(refused, Err(ImageError::Shape { .. })), "rows of {width}");
     }
     assert!(matches!(encode_jpeg_pixels(&[], 4, ToneMap::PLAIN, JpegQuality::STREAM), Err(ImageError::Shape { .. })));

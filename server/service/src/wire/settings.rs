@@ -322,7 +322,7 @@ fn integration(
         }
         Ok(Integration::Prefiltered) if !suited.brdf.is_one_highlight() => Err(ApiError::field(
             field,
-            "PREFILTERED for a BRDF of more than one highlight; one without a diffuse part, of one lobe, expected",
+            "PREFILTERED for such a BRDF; phong, ashikhmin_shirley or ward without a diffuse part, or cook_torrance expected",
         )),
         Ok(Integration::Prefiltered) => Ok(oslf::Integration::Prefiltered),
         Err(_) => Err(ApiError::field(field, format!("{value}, MONTE_CARLO or PREFILTERED expected"))),
@@ -568,7 +568,7 @@ mod tests {
         }
         for (brdf, (filter, integration), problem) in [
             (narrow.as_str(), (2, 2), "PREFILTERED with the filter BILINEAR"),
-            (matt, (0, 2), "PREFILTERED for a BRDF of more than one highlight"),
+            (matt, (0, 2), "PREFILTERED for such a BRDF"),
             (narrow, (0, 3), "3, MONTE_CARLO or PREFILTERED expected"),
         ] {
             let error = of(brdf, 0, filter, integration).unwrap_err().to_string();

@@ -142,7 +142,9 @@ impl Lobe<'_> {
 /// that both twins have the same; shifted for each sample point (Cranley & Patterson 1976), so that those of a pixel see different directions.
 fn place(number: u32, directions: u32, own: u32) -> Vec2 {
     let stratum = u32::MAX / directions;
-    let within = (stratum >> 16) * ((number / directions).wrapping_mul(GOLDEN).wrapping_add(1 << 31) >> 16);
+    let part = (number / directions).wrapping_mul(GOLDEN).wrapping_add(1 << 31) >> 16;
+    // The product's upper half, without 64 bits, which the twin has not.
+    let within = (stratum >> 16) * part + (((stratum & 0xffff) * part) >> 16);
     let across = (number % directions).wrapping_mul(stratum).wrapping_add(within).wrapping_add(own.wrapping_mul(2_447_445_413));
     // Not at the square's rim, which models take to the horizon.
     let around = number.wrapping_mul(GOLDEN).wrapping_add(1 << 31).wrapping_add(own.wrapping_mul(3_367_900_313));

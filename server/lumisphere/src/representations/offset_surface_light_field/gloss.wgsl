@@ -91,7 +91,8 @@ fn glossy(at: Sight, across: Sight, down: Sight, tangent: vec3<f32>, candidates:
 
 fn place(number: u32, own: u32) -> vec2<f32> {
     let stratum = 0xffffffffu / shading.directions;
-    let within = (stratum >> 16u) * (((number / shading.directions) * GOLDEN + 0x80000000u) >> 16u);
+    let part = ((number / shading.directions) * GOLDEN + 0x80000000u) >> 16u;
+    let within = (stratum >> 16u) * part + (((stratum & 0xffffu) * part) >> 16u);
     let across = (number % shading.directions) * stratum + within + own * 2447445413u;
     let around = number * GOLDEN + 0x80000000u + own * 3367900313u;
     return vec2(f32(across >> 8u), f32(around >> 8u)) / 16777216.0;

@@ -278,6 +278,11 @@ impl Gloss {
         if suits { Self { integration: Integration::Prefiltered, ..drawn } } else { drawn }
     }
 
+    /// Looks that a pixel takes: what work is measured in.
+    pub(super) fn looks(&self) -> u32 {
+        if self.is_prefiltered() { 1 } else { self.directions }
+    }
+
     /// Of Monte Carlo.
     pub fn enough_directions(brdf: &GlossBrdf) -> u32 {
         if brdf.is_at_most(WIDE) { DIRECTIONS_OF_WIDE / 2 } else { DIRECTIONS_OF_WIDE }

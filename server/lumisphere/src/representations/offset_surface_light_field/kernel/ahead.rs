@@ -94,7 +94,7 @@ fn take_one(room: &mut usize) -> bool {
 
 // The least at which a frame fits a band, in one submission, no side longer than `longest`.
 fn scale(camera: &Camera, settings: &Settings, longest: u32) -> u32 {
-    let directions = gloss(settings.component).map_or(1, |gloss| gloss.directions);
+    let directions = gloss(settings.component).map_or(1, |gloss| gloss.looks());
     let most = u64::from(MAX_BAND_PIXELS.min(MOST_DIRECTIONS_AT_ONCE / directions).max(1));
     let Intrinsics { width_px, height_px, .. } = *camera.intrinsics();
     let fits = |scale: &u32| {
