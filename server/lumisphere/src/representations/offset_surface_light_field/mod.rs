@@ -279,7 +279,7 @@ impl Gloss {
     }
 
     /// Looks that a pixel takes: what work is measured in.
-    pub(super) fn looks(&self) -> u32 {
+    pub fn looks(&self) -> u32 {
         if self.is_prefiltered() { 1 } else { self.directions }
     }
 
