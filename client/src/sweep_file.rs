@@ -381,11 +381,14 @@ impl LookAxes {
         let refraction = crossed(&others, &indices.unwrap_or(vec![None]), |looks, index| looks.refraction_index = *index);
         let mirrors = crossed(&others, &reflections.unwrap_or(vec![0]), |looks, n| looks.reflections = *n);
         let integrations: Vec<Option<Integration>> = integrations.map_or(vec![None], |all| all.into_iter().map(Some).collect());
+        // One look, or as many directions as it takes, is one setting.
+        let takes_directions = |integration: &Option<Integration>| matches!(integration, None | Some(Integration::MonteCarlo));
+        if directions.is_some() && !integrations.iter().any(takes_directions) {
+            return Err(s.error("directions is there, but no integration of integrations takes some").into());
+        }
         let mut glossy = Vec::new();
         for looks in crossed(&others, &integrations, |looks, integration| looks.integration = *integration) {
-            // One look, or as many directions as it takes, is one setting.
-            let takes_directions = matches!(looks.integration, None | Some(Integration::MonteCarlo));
-            let directions = directions.clone().filter(|_| takes_directions).unwrap_or(vec![0]);
+            let directions = directions.clone().filter(|_| takes_directions(&looks.integration)).unwrap_or(vec![0]);
             glossy.extend(crossed(&[looks], &directions, |looks, n| looks.directions = *n));
         }
         let orders: Vec<Option<Order>> = orders.map_or(vec![None], |orders| orders.into_iter().map(Some).collect());
@@ -565,6 +568,11 @@ mod tests {
         let asked = |file: SweepFile| file.settings.iter().map(|s| (s.asked.integration, s.asked.directions)).collect::<Vec<_>>();
         let [auto, one_look, drawn] = [Integration::Auto, Integration::Prefiltered, Integration::MonteCarlo].map(Some);
         assert_eq!(asked(parse(text).unwrap()), [(auto, 0), (one_look, 0), (drawn, 8), (drawn, 16)]);
+        let none = parse(&text.replace(", \"monte-carlo\"", "")).unwrap_err();
+        assert_eq!(none, "s.toml: settings.directions is there, but no integration of integrations takes some");
+        let ordered = text.replace("directions = [8, 16]", "directions = 8\nintegration_orders = [\"blend-first\", \"integrate-first\"]");
+        // One look knows no order.
+        assert_eq!(parse(&ordered).unwrap().settings.len(), 2 + 1 + 2);
         let mirror = parse("datasets = \"a\"\n[settings]\nblends = \"distance\"\nintegrations = \"auto\"").unwrap_err();
         assert_eq!(mirror, "s.toml: settings.integrations is there, but no component of components takes one");
     }

@@ -24,4 +24,4 @@ pub use error::GpuError;
 pub(crate) use kernel::{Shader, binding, float_texture, storage_buffer, value_buffer};
 pub(crate) use readback::ReadBack;
 pub use stats::GpuCacheStats;
-pub(crate) use table::{empty_table, table, table_bytes, write_table};
+pub(crate) use table::{bytes_of_table, empty_table, table, table_bytes, write_table};

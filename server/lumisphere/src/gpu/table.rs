@@ -12,8 +12,7 @@ const ROW_BITS: u32 = 12;
 
 /// A table of so many elements, nothing in it yet; `label`: its rows in an error. At least one texel, since empty textures do not exist.
 pub(crate) fn empty_table(gpu: &Gpu, label: &'static str, format: wgpu::TextureFormat, elements: u64) -> Result<wgpu::Texture, GpuError> {
-    let row = 1u64 << ROW_BITS;
-    let (width, height) = (elements.clamp(1, row), elements.div_ceil(row).max(1));
+    let (width, height) = sides(elements);
     let limit = u64::from(gpu.device().limits().max_texture_dimension_2d);
     let needed = width.max(height);
     if needed > limit {
@@ -34,7 +33,7 @@ pub(crate) fn empty_table(gpu: &Gpu, label: &'static str, format: wgpu::TextureF
 
 /// Writes elements from number `first` on, the first of its row; as many as whole rows hold, or to the table's end.
 pub(crate) fn write_table(gpu: &Gpu, table: &wgpu::Texture, first: u64, elements: &[u8]) {
-    let element_bytes = u64::from(table.format().block_copy_size(None).expect("a colour format"));
+    let element_bytes = element_bytes(table.format());
     let (width, first_row) = (u64::from(table.width()), (first >> ROW_BITS) as u32);
     let row_bytes = (width * element_bytes) as usize;
     // Whole rows, then what is left for the last one.
@@ -69,5 +68,20 @@ pub(crate) fn table<T: Pod>(
 
 /// On the device.
 pub(crate) fn table_bytes(table: &wgpu::Texture) -> u64 {
-    u64::from(table.width()) * u64::from(table.height()) * u64::from(table.format().block_copy_size(None).unwrap_or(16))
+    u64::from(table.width()) * u64::from(table.height()) * element_bytes(table.format())
+}
+
+/// The same of one that is not made yet.
+pub(crate) fn bytes_of_table(format: wgpu::TextureFormat, elements: u64) -> u64 {
+    let (width, height) = sides(elements);
+    width * height * element_bytes(format)
+}
+
+fn sides(elements: u64) -> (u64, u64) {
+    let row = 1 << ROW_BITS;
+    (elements.clamp(1, row), elements.div_ceil(row).max(1))
+}
+
+fn element_bytes(format: wgpu::TextureFormat) -> u64 {
+    u64::from(format.block_copy_size(None).expect("tables have colour formats, of one plane"))
 }

@@ -29,7 +29,7 @@ use crate::representations::provenance::{Answer, Provenance};
 const OVERLAP: f32 = 4.0;
 
 /// Radiance reflected by `gloss.brdf`, whose +X lies along `tangent`; that of point lights, too.
-#[allow(clippy::too_many_arguments)]
+#[expect(clippy::too_many_arguments, reason = "what a pixel sees, from which each look begins")]
 pub(super) fn glossy(
     field: &OffsetSurfaceLightField,
     settings: &Settings,
@@ -91,7 +91,7 @@ impl Lobe<'_> {
     }
 
     /// Monte Carlo's mean over directions.
-    #[allow(clippy::too_many_arguments)]
+    #[expect(clippy::too_many_arguments, reason = "what a pixel sees, from which each look begins")]
     fn drawn(
         &self,
         field: &OffsetSurfaceLightField,

@@ -7,13 +7,10 @@ override INTEGRATES_FIRST: bool = false;
 // Whether one look takes in the whole highlight.
 override PREFILTERED: bool = false;
 
-// Texels in a row of the table: 2 to this power.
-const TABLE_BITS: u32 = 11u;
-
 @group(2) @binding(7) var measured_table: texture_2d<f32>;
 
 fn measured_texel(at: u32) -> vec4<f32> {
-    return textureLoad(measured_table, vec2<u32>(at & ((1u << TABLE_BITS) - 1u), at >> TABLE_BITS), 0);
+    return textureLoad(measured_table, place_of(at), 0);
 }
 
 fn glossy(at: Sight, across: Sight, down: Sight, tangent: vec3<f32>, candidates: vec4<u32>) -> Shaded {

@@ -284,7 +284,7 @@ impl Gloss {
     }
 
     /// Of Monte Carlo.
-    pub fn enough_directions(brdf: &GlossBrdf) -> u32 {
+    fn enough_directions(brdf: &GlossBrdf) -> u32 {
         if brdf.is_at_most(WIDE) { DIRECTIONS_OF_WIDE / 2 } else { DIRECTIONS_OF_WIDE }
     }
 

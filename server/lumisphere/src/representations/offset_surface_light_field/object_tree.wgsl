@@ -1,10 +1,9 @@
 // Twin of object_tree.rs: the same functions by the same names. Part of kernel.wgsl.
 
 // The object's tree (raytrace/bvh.rs): nodes of NODE_TEXELS, four least and four greatest coordinates an axis, then the children, those that
-// are leaves as −1 − packet; from `shading.first_packet` on packets of PACKET_TEXELS: corners, edges, triangles. TREE_WIDTH texels a row.
+// are leaves as −1 − packet; from `shading.first_packet` on packets of PACKET_TEXELS: corners, edges, triangles. A table of table.rs.
 @group(2) @binding(6) var object_tree: texture_2d<f32>;
 
-const TREE_BITS: u32 = 12u;
 const NODE_TEXELS: u32 = 7u;
 const PACKET_TEXELS: u32 = 10u;
 const STACK_SIZE: u32 = 64u;
@@ -29,7 +28,7 @@ struct SurfacePoint {
 }
 
 fn tree_texel(index: u32) -> vec4<f32> {
-    return textureLoad(object_tree, vec2(index & ((1u << TREE_BITS) - 1u), index >> TREE_BITS), 0);
+    return textureLoad(object_tree, place_of(index), 0);
 }
 
 fn finite_inverse(x: f32) -> f32 {

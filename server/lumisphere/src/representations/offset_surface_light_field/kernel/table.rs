@@ -3,7 +3,7 @@
 use super::super::{GlossBrdf, Settings};
 use super::light::view;
 use super::{Kernel, gloss};
-use crate::gpu::{Gpu, float_texture};
+use crate::gpu::{Gpu, bytes_of_table, float_texture, table, table_bytes};
 use crate::radiometry::brdf::{BrdfUniform, Measured};
 use crate::representations::page_source::CountingSource;
 use crate::representations::{FrameRequest, RenderError};
@@ -16,9 +16,7 @@ pub(super) struct TableTexture {
     held: Option<(ContentHash, BrdfUniform)>,
 }
 
-// 2 to `TABLE_BITS` of gloss.wgsl.
-const WIDTH: usize = 1 << 11;
-const ROWS: usize = Measured::TEXELS.div_ceil(WIDTH);
+const FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba32Float;
 
 impl TableTexture {
     pub fn none(gpu: &Gpu) -> Self {
@@ -32,7 +30,7 @@ impl TableTexture {
 
     /// On the device.
     pub fn bytes(&self) -> u64 {
-        16 * u64::from(self.texture.width()) * u64::from(self.texture.height())
+        table_bytes(&self.texture)
     }
 
     /// The numbers of the table that is there.
@@ -59,15 +57,14 @@ impl Kernel {
     ) -> Result<(), RenderError> {
         let wanted = gloss(settings.component).and_then(|gloss| gloss.brdf.table());
         let Some(hash) = wanted.filter(|_| !self.is_table_there(settings)) else { return Ok(()) };
-        let table = request.table.ok_or(RenderError::NoTable { table: hash })?;
+        let measured = request.table.ok_or(RenderError::NoTable { table: hash })?;
         let is_first = self.table.held.is_none();
         if is_first {
-            self.check_room("a measured BRDF", (16 * ROWS * WIDTH) as u64, pages)?;
+            self.check_room("a measured BRDF", bytes_of_table(FORMAT, Measured::TEXELS as u64), pages)?;
         }
-        let mut texels: Vec<[f32; 4]> = table.texels().collect();
-        texels.resize(ROWS * WIDTH, [0.0; 4]);
-        let texture = float_texture(&self.gpu, "table", WIDTH as u32, &texels);
-        self.table = TableTexture { view: view(&texture), texture, held: Some((hash, table.uniform())) };
+        let texels: Vec<[f32; 4]> = measured.texels().collect();
+        let texture = table(&self.gpu, "rows of the measured BRDF", FORMAT, &texels)?;
+        self.table = TableTexture { view: view(&texture), texture, held: Some((hash, measured.uniform())) };
         self.rebind(is_first);
         Ok(())
     }

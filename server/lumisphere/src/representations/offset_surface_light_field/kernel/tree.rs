@@ -6,7 +6,7 @@ use super::super::Settings;
 use super::super::object_tree::ObjectTree;
 use super::Kernel;
 use super::light::view;
-use crate::gpu::{Gpu, GpuError, float_texture};
+use crate::gpu::{Gpu, GpuError, bytes_of_table, float_texture, table, table_bytes};
 use crate::representations::RenderError;
 use crate::representations::g_buffer::ProxyGeometry;
 use crate::representations::page_source::CountingSource;
@@ -20,8 +20,9 @@ pub(super) struct TreeTexture {
     refused: Option<(u64, GpuError)>,
 }
 
-// 2 to `TREE_BITS` of object_tree.wgsl.
-const WIDTH: usize = 1 << 12;
+const FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba32Float;
+// In an error.
+const ROWS: &str = "rows of the object's tree";
 
 impl TreeTexture {
     pub fn none(gpu: &Gpu) -> Self {
@@ -35,7 +36,7 @@ impl TreeTexture {
 
     /// On the device.
     pub fn bytes(&self) -> u64 {
-        16 * u64::from(self.texture.width()) * u64::from(self.texture.height())
+        table_bytes(&self.texture)
     }
 
     /// Whether frames can be drawn that need it.
@@ -59,24 +60,18 @@ impl Kernel {
         if let Some((_, error)) = self.tree.refused.as_ref().filter(|(tried, _)| room <= *tried) {
             return Err(error.clone().into());
         }
-        let limit = u64::from(self.gpu.device().limits().max_texture_dimension_2d);
-        let too_large = |needed| GpuError::BeyondLimit { what: "height of the object's tree in texels", needed, limit };
         let field = &self.field;
         let geometry = ProxyGeometry::new(&field.surface.mesh, &field.surface.part_of_triangle, &field.background);
         let tree = ObjectTree::new(Arc::new(geometry));
-        let (mut texels, first_packet) = tree.bvh.as_vectors().ok_or(too_large(u64::MAX))?;
-        let rows = texels.len().div_ceil(WIDTH).max(1);
-        if rows as u64 > limit {
-            return Err(too_large(rows as u64).into());
-        }
-        if let Err(error) = self.check_room("the object's tree", 16 * (rows * WIDTH) as u64, pages) {
+        let limit = u64::from(self.gpu.device().limits().max_texture_dimension_2d);
+        let (texels, first_packet) = tree.bvh.as_vectors().ok_or(GpuError::BeyondLimit { what: ROWS, needed: u64::MAX, limit })?;
+        if let Err(error) = self.check_room("the object's tree", bytes_of_table(FORMAT, texels.len() as u64), pages) {
             if let RenderError::Gpu(error) = &error {
                 self.tree.refused = Some((room, error.clone()));
             }
             return Err(error);
         }
-        texels.resize(rows * WIDTH, [0.0; 4]);
-        let texture = float_texture(&self.gpu, "tree", WIDTH as u32, &texels);
+        let texture = table(&self.gpu, ROWS, FORMAT, &texels)?;
         self.tree = TreeTexture { view: view(&texture), texture, first_packet: Some(first_packet as u32), refused: None };
         self.rebind(true);
         Ok(())
