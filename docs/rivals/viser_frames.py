@@ -1,23 +1,24 @@
-"""What a viewer gets of viser, nerfstudio's server of live views, beside the bench `viewers -- delivery`: the same frames, rendered beforehand.
+"""What a viewer gets of viser, nerfstudio's server of live views, beside the bench `viewers -- delivery`: the same frames.
 
     python -m venv venv && venv/bin/pip install viser opencv-python-headless
     lumisphere render --dataset teapot --component mirror --frames 32 --size 640x480 --out frames
-    venv/bin/python docs/rivals/viser_frames.py frames --render-millis R
+    cargo bench -p lumisphere --bench render_frame --no-run
+    venv/bin/python docs/rivals/viser_frames.py frames --renderer target/release/deps/render_frame-…
 
-R is what a frame takes our renderer. Its stand-in draws one frame at a time: a sleep (`--renderer sleep`: as on a graphics card, viser has
-the processors to itself) or as much computing as keeps every core busy for so long when nothing else runs (`--renderer work`, as lavapipe
-does, which our bench renders with). The server is used as nerfstudio's viewer uses it: a callback on each new camera sets the client's background image, as JPEG, and flushes. The
-client is a process of its own and speaks viser's protocol (windows of messages, zstd-packed msgpack).
+Pose to decoded frame, and a viewer that stalls, are measured with the frames of the folder, rendered beforehand. Frames a second with those that
+our own renderer draws for each pose, one at a time, in a process of its own (render_frame's `for_another`): 64² faces, 100 points and the orbit
+of the bench. The server is used as nerfstudio's viewer uses it: a callback on each new camera sets the client's background image, as
+JPEG, and flushes. The client is a process of its own and speaks viser's protocol (windows of messages, zstd-packed msgpack).
 """
 
 import argparse
 import asyncio
-import concurrent.futures
-import hashlib
 import multiprocessing
 import os
 import pathlib
 import statistics
+import subprocess
+import tempfile
 import threading
 import time
 
@@ -31,33 +32,40 @@ import zstandard
 PORT = 8199
 QUALITY = 90
 WARM_UP, RUNS = 8, 101
+POSES = 320
 POSE_SECONDS = 0.016
 
 
-def working(seconds: float):
-    """A function that keeps each core busy for so long, if they are free."""
-    cores, data = os.cpu_count(), bytes(1 << 16)
-    pool = concurrent.futures.ThreadPoolExecutor(cores)
+def drawing(program: str):
+    """Frames of our own renderer, and how long it took for those so far, in milliseconds."""
+    file = tempfile.NamedTemporaryFile(dir="/dev/shm")
+    # As the server has glibc: what a frame frees stays for the next.
+    environment = {**os.environ, "MALLOC_TRIM_THRESHOLD_": str(64 << 20), "MALLOC_MMAP_THRESHOLD_": str(128 << 10)}
+    process = subprocess.Popen([program, "--bench", "64", "100", "for_another", file.name], env=environment, text=True,
+                               stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    millis = []
 
-    def hashed(blocks: int) -> None:
-        # Lets other threads of Python run.
-        sink = hashlib.sha256()
-        for _ in range(blocks):
-            sink.update(data)
+    def draw(number: int):
+        print(number, file=process.stdin, flush=True)
+        line = process.stdout.readline()
+        while not line.strip().replace(".", "").isdigit():
+            assert line, "the renderer has ended"
+            # What it says of itself.
+            line = process.stdout.readline()
+        millis.append(float(line))
+        return numpy.fromfile(file.name, numpy.uint8).reshape(480, 640, 3)
 
-    def work(blocks: int) -> float:
-        begun = time.perf_counter()
-        list(pool.map(hashed, [blocks] * cores))
-        return time.perf_counter() - begun
-
-    # The best of some: others may run beside.
-    blocks = int(200 * seconds / min(work(200) for _ in range(20)))
-    return lambda: work(blocks)
+    return draw, millis
 
 
-def serve(frames: list, render_seconds: float, renderer: str, ready) -> None:
+def serve(frames: list, renderer: str | None, ready, rendered) -> None:
     """A frame for each camera; its position's x is the pose's number."""
-    draw = working(render_seconds) if renderer == "work" else lambda: time.sleep(render_seconds)
+    draw, millis = drawing(renderer) if renderer else (lambda number: frames[number % len(frames)], [])
+    if renderer:
+        # Makes the kernel and brings the pages of all poses, as our bench has them there.
+        for number in range(POSES):
+            draw(number)
+        millis.clear()
     server = viser.ViserServer(host="127.0.0.1", port=PORT, verbose=False)
     turn = threading.Lock()
 
@@ -65,10 +73,10 @@ def serve(frames: list, render_seconds: float, renderer: str, ready) -> None:
     def _(client) -> None:
         @client.camera.on_update
         def _(camera) -> None:
-            frame = frames[int(camera.position[0]) % len(frames)]
-            if render_seconds > 0:
-                with turn:
-                    draw()
+            with turn:
+                frame = draw(int(camera.position[0]) % POSES)
+                if millis:
+                    rendered.value = statistics.median(millis)
             client.scene.set_background_image(frame, format="jpeg", jpeg_quality=QUALITY)
             client.flush()
 
@@ -182,8 +190,7 @@ async def stall(seconds: float, pid: int) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("frames", type=pathlib.Path)
-    parser.add_argument("--render-millis", type=float, default=0.0)
-    parser.add_argument("--renderer", choices=["sleep", "work"], default="sleep")
+    parser.add_argument("--renderer", help="render_frame's program, for frames a second")
     parser.add_argument("--seconds", type=float, default=15.0)
     parser.add_argument("--stall-seconds", type=float, default=45.0)
     arguments = parser.parse_args()
@@ -191,22 +198,26 @@ def main() -> None:
     frames = [cv2.cvtColor(cv2.imread(str(f)), cv2.COLOR_BGR2RGB) for f in files]
     assert frames and frames[0].shape == (480, 640, 3), "640 x 480 frames expected"
 
-    def served(render_millis: float, client) -> None:
+    def served(renderer: str | None, client) -> float:
         context = multiprocessing.get_context("spawn")
-        ready = context.Event()
-        process = context.Process(target=serve, args=(frames, render_millis / 1e3, arguments.renderer, ready), daemon=True)
+        ready, rendered = context.Event(), context.Value("d", 0.0)
+        process = context.Process(target=serve, args=(frames, renderer, ready, rendered), daemon=True)
         process.start()
-        assert ready.wait(60)
+        assert ready.wait(600)
         try:
             asyncio.run(client(process.pid))
         finally:
             process.kill()
             process.join()
+        return rendered.value
 
     print("viser", viser.__version__)
-    served(0.0, lambda pid: latency(frames))
-    served(arguments.render_millis, lambda pid: rate(arguments.seconds))
-    served(0.0, lambda pid: stall(arguments.stall_seconds, pid))
+    served(None, lambda pid: latency(frames))
+    if arguments.renderer:
+        millis = served(arguments.renderer, lambda pid: rate(arguments.seconds))
+        print(f"  a frame took the renderer {millis:.1f} ms")
+    if arguments.stall_seconds:
+        served(None, lambda pid: stall(arguments.stall_seconds, pid))
 
 
 if __name__ == "__main__":

@@ -179,15 +179,18 @@ impl Viewer {
         }
     }
 
-    /// Always moving, for so long; how many frames.
+    /// Always moving, for so long; how many frames a second, decoded.
     async fn walk(mut self, seconds: Duration) -> f64 {
         let begun = Instant::now();
         let mut frames = 0.0;
         self.step().await;
         self.step().await;
-        while begun.elapsed() < seconds && self.frame().await.is_some() {
-            frames += 1.0;
+        while begun.elapsed() < seconds
+            && let Some(frame) = self.frame().await
+        {
             self.step().await;
+            decode_image_codes(&frame.color, ReadLimits::SCENE).expect("a picture");
+            frames += 1.0;
         }
         frames / begun.elapsed().as_secs_f64()
     }
@@ -225,15 +228,19 @@ async fn motion(server: &Server, stand: &Stand) {
     bound("frames a second with two credits / 1000 / ms in the server", rate * own / 1e3, 0.95, rate * own / 1e3 >= 0.95);
 }
 
-/// Below it colour is stored at half resolution, as OpenCV's encoder does at 90.
-const FULL_COLOR: u32 = 90;
+/// JPEG's quality and at which resolution it stores colour: below 90 at half, as OpenCV's encoder does at 90.
+const COLORS: [(u32, &str); 2] = [(90, "full"), (89, "half")];
+
+fn jpeg(jpeg_quality: u32) -> Up {
+    let output = wire::OutputSettings { encoding: wire::Encoding::Jpeg.into(), jpeg_quality, ..Default::default() };
+    Up::Settings(wire::SettingsUpdate { settings: None, output: Some(output) })
+}
 
 async fn delivery(server: &Server, stand: &Stand) {
     println!("\ndelivery: from pose to decoded frame, less the rendering");
-    for (quality, color) in [(FULL_COLOR, "full"), (FULL_COLOR - 1, "half")] {
+    for (quality, color) in COLORS {
         let mut viewer = Viewer::open(server.rendering().await, *stand, (640, 480), 1).await;
-        let output = Some(wire::OutputSettings { encoding: wire::Encoding::Jpeg.into(), jpeg_quality: quality, ..Default::default() });
-        viewer.send(Up::Settings(wire::SettingsUpdate { settings: None, output })).await;
+        viewer.send(jpeg(quality)).await;
         let (mut delivered, mut rendering, mut parts): (Vec<f64>, Vec<f64>, [Vec<f64>; 3]) = Default::default();
         for run in 0..WARM_UP + RUNS {
             let begun = Instant::now();
@@ -254,8 +261,14 @@ async fn delivery(server: &Server, stand: &Stand) {
         println!("  JPEG {quality}, colour at {color} resolution, {render:.1} ms of rendering: median {median:.1} ms, 95 % {slow:.1} ms;");
         println!("    of these {queue:.1} in the queue, {encoding:.1} encoding, {decoding:.1} decoding");
     }
-    let rate = Viewer::open(server.rendering().await, *stand, (640, 480), 2).await.walk(SECONDS).await;
-    println!("  frames a second with two credits: {rate:.2}");
+    // Brings the pages of all poses.
+    Viewer::open(server.rendering().await, *stand, (640, 480), 2).await.walk(2 * SECONDS).await;
+    for (quality, color) in COLORS {
+        let mut viewer = Viewer::open(server.rendering().await, *stand, (640, 480), 2).await;
+        viewer.send(jpeg(quality)).await;
+        let rate = viewer.walk(SECONDS).await;
+        println!("  frames a second with two credits, JPEG {quality}, colour at {color} resolution: {rate:.2}");
+    }
     // As many credits as there may be: what the server may send without an answer.
     let mut mute = Viewer::open(server.rendering().await, *stand, (640, 480), 16).await;
     let (before, begun, mut middle) = (server.resident_bytes(), Instant::now(), None);

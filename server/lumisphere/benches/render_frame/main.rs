@@ -4,13 +4,15 @@
 //! `cargo bench -p lumisphere --bench render_frame [-- FACE_SIZE [POINTS]] [gpu | cpu | paging | counting | equal_error | parameter_map] [bilinear]`, by default 128 texels, 300 points and both
 //! backends; `paging` measures uploads under a cap instead, `counting` what the texture cache's counters cost a frame, `bilinear` reads without filtering. The capture (one path a texel: noise costs no time) is kept in `target/render_frame` for the next run.
 //! `parameter_map` draws a plane with models of one kind instead of the teapot.
+//! `for_another FILE` draws whatever poses another program asks for (`for_another.rs`).
 //! `equal_error` sets mirror frames beside path-traced ones of the same error instead (a capture of 8 paths a texel, 160 points, unless numbers say otherwise).
 
 mod counting;
 mod equal_error;
+mod for_another;
 mod parameter_map;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -70,6 +72,9 @@ fn main() {
     println!("adapter: {}", renderer.adapter().unwrap_or_else(|| "none".into()));
     if is_equal_error {
         return equal_error::report(&field, &pages, &renderer, [0.0, 0.4].map(|turn| orbit_at(center, radius, turn)));
+    }
+    if let Some(file) = std::env::args().skip_while(|a| a != "for_another").nth(1) {
+        return for_another::serve(Path::new(&file), &field, &pages, &renderer, center, radius);
     }
     let cameras: Vec<Camera> = (0..RUNS).map(|k| orbit(center, radius, k)).collect();
     if std::env::args().any(|a| a == "paging") {
