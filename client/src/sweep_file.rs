@@ -264,6 +264,10 @@ fn capture_axes(mut s: Section, folder: &Path) -> anyhow::Result<Vec<Capture>> {
     let codec = Expected { text: "\"bits-chunk\", \"zstd-chunk\", \"zstd-seq\" or \"lzw-seq\"", read: &codec };
     let codecs = s.axis("codec", &codec)?.unwrap_or(vec![wire::Codec::Unspecified]);
     let seeds = s.axis("seed", &seed())?.unwrap_or(vec![0]);
+    let originals: &[(&str, wire::Original)] = &[("diffuse", wire::Original::Diffuse), ("as-authored", wire::Original::AsAuthored)];
+    let original = |v: &Value| originals.iter().find(|(name, _)| v.as_str() == Some(name)).map(|(_, original)| *original);
+    let original = Expected { text: "\"diffuse\" or \"as-authored\"", read: &original };
+    let originals = s.axis("original", &original)?.unwrap_or(vec![wire::Original::Unspecified]);
     s.finish()?;
 
     let mut all = vec![wire::CaptureSpec::default()];
@@ -277,6 +281,7 @@ fn capture_axes(mut s: Section, folder: &Path) -> anyhow::Result<Vec<Capture>> {
     all = crossed(&all, &formats, |c, v| c.pixel_format = (*v).into());
     all = crossed(&all, &codecs, |c, v| c.codec = (*v).into());
     all = crossed(&all, &seeds, |c, v| c.seed = *v);
+    all = crossed(&all, &originals, |c, v| c.original = (*v).into());
     let scene = |name: &String| SceneFlags {
         scene: placed(name, folder),
         parameters: parameters.clone(),
@@ -320,6 +325,7 @@ fn axes(c: &wire::CaptureSpec) -> BTreeMap<&'static str, String> {
         ("format", if format == wire::PixelFormat::F32 { "f32".into() } else { "f16".into() }),
         ("codec", if c.codec == 0 { "0".into() } else { c.codec().as_str_name()["CODEC_".len()..].to_lowercase().replace('_', "-") }),
         ("seed", c.seed.to_string()),
+        ("original", if c.original() == wire::Original::AsAuthored { "as-authored".into() } else { "0".into() }),
     ];
     // 0 is what was not given, but for the seed.
     all.into_iter().filter(|(axis, value)| value != "0" || *axis == "seed").collect()

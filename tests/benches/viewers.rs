@@ -264,7 +264,7 @@ async fn delivery(server: &Server, stand: &Stand) {
     // Brings the pages of all poses.
     Viewer::open(server.rendering().await, *stand, (640, 480), 2).await.walk(2 * SECONDS).await;
     for (quality, color) in COLORS {
-        let mut viewer = Viewer::open(server.rendering().await, *stand, (640, 480), 2).await;
+        let viewer = Viewer::open(server.rendering().await, *stand, (640, 480), 2).await;
         viewer.send(jpeg(quality)).await;
         let rate = viewer.walk(SECONDS).await;
         println!("  frames a second with two credits, JPEG {quality}, colour at {color} resolution: {rate:.2}");

@@ -119,7 +119,7 @@ fn builtin(spec: &mut wire::CaptureSpec) -> &mut wire::BuiltinScene {
 #[tokio::test]
 async fn a_bad_job_is_refused_before_it_is_queued() {
     type Bad = (&'static str, fn(&mut wire::CaptureSpec));
-    const BAD: [Bad; 13] = [
+    const BAD: [Bad; 14] = [
         ("no scene", |s| s.scene = None),
         ("unknown built-in scene", |s| builtin(s).name = "gazbo".into()),
         ("unknown parameter", |s| builtin(s).parameters = [("colour".into(), "1".into())].into()),
@@ -133,6 +133,7 @@ async fn a_bad_job_is_refused_before_it_is_queued() {
         ("huge face size", |s| s.face_size_texels = 1 << 20),
         ("unknown pixel format", |s| s.pixel_format = 42),
         ("too many bounces", |s| s.max_bounces = 65),
+        ("unknown original", |s| s.original = 3),
     ];
     let folder = temporary_folder();
     let server = Server::start(&folder.path().join("data"));

@@ -23,6 +23,7 @@ mod main_flow;
 mod measured;
 mod memory;
 mod moving;
+mod originals;
 mod paper_tables;
 mod parameter_map;
 mod photographs;

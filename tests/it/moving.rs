@@ -125,6 +125,19 @@ async fn what_comes_to_rest_is_shown_in_the_encoding_for_rest() {
     }
 }
 
+#[tokio::test]
+async fn in_motion_frames_are_not_in_the_encoding_for_rest() {
+    let (_folder, server) = with_dataset().await;
+    let at_rest = wire::OutputSettings { encoding_at_rest: wire::Encoding::Png.into(), ..output(wire::Encoding::Jpeg) };
+    for transport in TRANSPORTS {
+        let settings = frame_request(DATASET).settings;
+        let open = wire::OpenInteraction { settings, output: Some(at_rest), moving_frames_per_second: 240.0, ..opening(1) };
+        let mut viewer = Viewer::open_as(&server, open, transport).await.unwrap();
+        let (_, smaller) = move_until_smaller(&mut viewer).await;
+        assert_eq!(smaller.encoding(), wire::Encoding::Jpeg, "{transport:?}");
+    }
+}
+
 /// Its stream is served by other threads while this one waits for the server's counters.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_full_frame_is_dropped_when_the_viewer_moves_on() {

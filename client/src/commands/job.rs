@@ -132,6 +132,9 @@ pub struct CaptureArguments {
     /// Texels along the edge of a sample map, 16 to 1024 [default: 256]
     #[arg(long, value_name = "N")]
     sample_map_size_texels: Option<u32>,
+    /// What the object looks like meanwhile: its diffuse part alone, or as its materials say
+    #[arg(long, value_enum, default_value = "diffuse")]
+    original: Original,
     /// Of stored pages
     #[arg(long, value_enum, default_value = "f16")]
     pixel_format: PixelFormat,
@@ -143,6 +146,24 @@ pub struct CaptureArguments {
     seed: u64,
     #[command(flatten)]
     submit: SubmitFlags,
+}
+
+/// What an object looks like while it is captured.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Original {
+    /// Its diffuse part: can be shown in other light and with a mirror over it
+    Diffuse,
+    /// Highlights and all: blends that favour the view direction show them
+    AsAuthored,
+}
+
+impl Original {
+    fn to_wire(self) -> wire::Original {
+        match self {
+            Self::Diffuse => wire::Original::Diffuse,
+            Self::AsAuthored => wire::Original::AsAuthored,
+        }
+    }
 }
 
 /// How stored pages hold numbers.
@@ -479,6 +500,7 @@ async fn submit_capture(context: &Context, arguments: &CaptureArguments) -> anyh
         pixel_format: arguments.pixel_format.to_wire().into(),
         codec: codec_message(arguments.codec).into(),
         seed: arguments.seed,
+        original: arguments.original.to_wire().into(),
     };
     submit_and_tell(context, &server, Spec::Capture(spec), &arguments.submit).await
 }

@@ -176,7 +176,9 @@ impl From<RenderError> for ApiError {
         match error {
             RenderError::Store(error) => error.into(),
             RenderError::PageShape { .. } => Self::new(Reason::DataCorrupt, error.to_string()),
-            RenderError::OtherKind { .. } | RenderError::NoSkyShares => Self::new(Reason::DatasetKindMismatch, error.to_string()),
+            RenderError::OtherKind { .. } | RenderError::NoSkyShares | RenderError::AsAuthored => {
+                Self::new(Reason::DatasetKindMismatch, error.to_string())
+            }
             RenderError::NoTable { .. } => Self::internal(error),
             RenderError::NoGpu => Self::field("settings.backend", error),
             RenderError::TooManyDirections { .. } => Self::field("settings.offset_surface_light_field.gloss.directions", error),

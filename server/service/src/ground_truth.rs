@@ -84,6 +84,7 @@ impl Tracers {
         let pass = TruthPass {
             object: captured.object,
             max_bounces: captured.max_bounces,
+            original: captured.original,
             settings: &order.settings.settings,
             pass,
             paths_per_pixel: truth.paths_per_pixel,

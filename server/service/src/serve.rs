@@ -34,6 +34,8 @@ use crate::wire::{FILE_DESCRIPTOR_SET, MAX_FRAME_MESSAGE_BYTES, MAX_REQUEST_BYTE
 /// A peer that is gone is noticed after these.
 const KEEPALIVE_INTERVAL: Duration = Duration::from_secs(20);
 const KEEPALIVE_TIMEOUT: Duration = Duration::from_secs(20);
+/// Of TCP's own, within the timeout: browsers without TLS speak HTTP/1.1, which has no ping.
+const KEEPALIVE_RETRIES: u32 = 4;
 /// A peer that does not finish its TLS handshake is let go.
 const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(10);
 /// Streams on one connection.
@@ -75,7 +77,11 @@ pub async fn serve(app: Arc<App>, grace: Duration) -> anyhow::Result<()> {
         report(&reporter, ServingStatus::NotServing).await;
     };
     // tonic leaves these to whoever brings the listener.
-    let incoming = TcpIncoming::from(grpc).with_nodelay(Some(true)).with_keepalive(Some(KEEPALIVE_INTERVAL));
+    let incoming = TcpIncoming::from(grpc)
+        .with_nodelay(Some(true))
+        .with_keepalive(Some(KEEPALIVE_INTERVAL))
+        .with_keepalive_interval(Some(KEEPALIVE_TIMEOUT / KEEPALIVE_RETRIES))
+        .with_keepalive_retries(Some(KEEPALIVE_RETRIES));
     let grpc_served = builder
         .accept_http1(true)
         .http2_keepalive_interval(Some(KEEPALIVE_INTERVAL))

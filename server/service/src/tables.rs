@@ -91,6 +91,10 @@ mod tests {
         hashes.iter().for_each(|hash| drop(tables.get(*hash).unwrap()));
         assert!(!Arc::ptr_eq(&first, &tables.get(hashes[0]).unwrap()), "five are kept");
         assert_eq!(tables.kept.lock().unwrap().len(), KEPT);
+        // 2, 3, 4, 0 are kept: 2 is used once more, so that 3 leaves for 1.
+        let used_again = tables.get(hashes[2]).unwrap();
+        tables.get(hashes[1]).unwrap();
+        assert!(Arc::ptr_eq(&used_again, &tables.get(hashes[2]).unwrap()), "what was used last has left");
         let refused = |bytes: &[u8]| tables.get(store.put_upload(bytes).unwrap()).unwrap_err().to_string();
         assert!(refused(b"short").contains("has 5 bytes, 34992012 of a table expected"));
         assert!(refused(&file(f64::NAN)).starts_with("settings.offset_surface_light_field.gloss.brdf: blob "));

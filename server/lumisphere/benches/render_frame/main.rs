@@ -24,7 +24,7 @@ use lumisphere::render::{Backend, Frame, FrameRequest, Outputs, Refine, Renderer
 use lumisphere::representations::offset_surface_light_field::{
     Blend, Component, ConstructSettings, Filter, OffsetSurfaceLightField, Settings as OslfSettings, Spacing, construct, from_parts,
 };
-use lumisphere::representations::{CachedPages, Fetched, PageSource, TexelReader};
+use lumisphere::representations::{CachedPages, Fetched, Original, PageSource, TexelReader};
 use lumisphere::scenes::{BuiltinOptions, Relighting, builtin};
 use lumisphere::textures::{Cache, CacheOptions, Codec, DatasetVersion, PageId, PixelFormat, Publication, Store, StoreError, StoreOptions};
 
@@ -354,6 +354,7 @@ fn captured(face_size: u32, points: u32, samples_per_texel: u32) -> Arc<DatasetV
         samples_per_texel,
         max_bounces: 1,
         seed: 1,
+        original: Original::Diffuse,
     };
     // An earlier run may have been killed between the two.
     drop(store.create_dataset(&dataset));

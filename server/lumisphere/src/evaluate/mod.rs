@@ -33,7 +33,7 @@ use crate::radiometry::dielectric::Dielectric;
 use crate::raytrace::{Mirrors, TraceError, TraceSettings};
 use crate::render::Backend;
 use crate::representations::offset_surface_light_field::GlossBrdf;
-use crate::representations::{Kind, Settings};
+use crate::representations::{Original, Settings};
 use crate::scenes::{Relighting, Scene};
 use crate::textures::ContentHash;
 use row::Total;
@@ -54,6 +54,8 @@ pub use truth_passes::{MOST_PATHS_PER_PASS, MOST_PATHS_PER_PIXEL, MOST_TRUTH_PAS
 pub struct Plan {
     /// Name of the object whose pixels count.
     pub object: String,
+    /// What it looked like while it was captured.
+    pub original: Original,
     /// Held-out poses.
     pub cameras: Vec<Camera>,
     /// Settings to render with.
@@ -221,9 +223,6 @@ const MOST_LIGHTS: usize = 4;
 
 // What a setting is compared with: what is no mirror has one truth only.
 fn truths_of(settings: &Settings, plan: &Plan) -> Vec<Truth> {
-    if settings.kind() == Kind::ParameterMap {
-        return vec![Truth::AsAuthored];
-    }
     if settings.dielectric().is_some() {
         return vec![Truth::OneRefraction];
     }
@@ -233,6 +232,7 @@ fn truths_of(settings: &Settings, plan: &Plan) -> Vec<Truth> {
     };
     match (settings.brdf(), settings.mirrors()) {
         (Some(_), _) => vec![Truth::OneGlossyReflection],
+        (None, None) if plan.original == Original::AsAuthored => vec![Truth::AsAuthored],
         (None, None) => vec![Truth::Diffuse],
         (None, Some(_)) => plan.mirror_truths.iter().map(of_mirror).collect(),
     }

@@ -81,6 +81,7 @@ pub(super) fn captured(scene: &Scene, object: &str, points: u32, epsilon: Option
         samples_per_texel: 16,
         max_bounces: 3,
         seed: 5,
+        original: Original::Diffuse,
     };
     let parameters = construct(scene, &settings, &staging, &Unattended).unwrap();
     let publication = Publication {
@@ -106,6 +107,7 @@ fn errors(of: oslf::Settings, frames: &[oslf::Settings]) -> Vec<f64> {
     let renderer = Renderer::cpu_only();
     let plan = Plan {
         object: "ball".into(),
+        original: Original::Diffuse,
         cameras: scene.cameras.iter().map(|c| c.camera).collect(),
         settings: vec![Settings::OffsetSurfaceLightField(of); frames.len()],
         mirror_truths: vec![Truth::OneReflection],

@@ -13,7 +13,7 @@ use crate::geometry::Camera;
 use crate::progress::{Cancelled, Progress};
 use crate::radiometry::brdf::Measured;
 use crate::raytrace::{Appearance, Seen, TraceError, TraceSettings, Tracer, Under};
-use crate::representations::{Kind, Outputs, Pixels, Provenance, Settings};
+use crate::representations::{Original, Outputs, Pixels, Provenance, Settings};
 use crate::scenes::{Environment, Relighting, Scene};
 
 /// Paths of one pass, of all its pixels together: tens of seconds of two cores.
@@ -42,6 +42,8 @@ pub struct TruthPass<'a> {
     pub object: &'a str,
     /// Of the capture's paths.
     pub max_bounces: u32,
+    /// What the object looked like to it.
+    pub original: Original,
     /// Whose truth: component, reflectance, BRDF, clear body and light count, how texels are blended and filtered does not.
     pub settings: &'a Settings,
     /// From 0.
@@ -140,14 +142,12 @@ impl TruthPasses {
 /// As `ViewTruth::reference` puts it together, mirrors being those of as many reflections as the settings say.
 fn parts(pass: &TruthPass<'_>) -> Result<Parts, TruthError> {
     let settings = pass.settings;
-    if settings.kind() == Kind::ParameterMap {
-        return Ok(Parts::Object(Appearance::AsAuthored));
-    }
     if let Some(dielectric) = settings.dielectric() {
         return Ok(Parts::Whole(Appearance::OneRefraction { dielectric }));
     }
     Ok(match (settings.brdf(), settings.mirrors()) {
         (Some(brdf), _) => Parts::Whole(Appearance::OneGlossy { brdf: brdf.model(pass.table).ok_or(TruthError::NoTable)? }),
+        (None, None) if pass.original == Original::AsAuthored => Parts::Object(Appearance::AsAuthored),
         (None, None) => Parts::Whole(Appearance::Diffuse),
         (None, Some(mirrors)) => match mirrors.under {
             Under::Nothing => Parts::Whole(Appearance::Mirrors(mirrors)),
@@ -194,11 +194,22 @@ mod tests {
     }
 
     fn pass<'a>(settings: &'a Settings, pass: u32, paths_per_pixel: u32) -> TruthPass<'a> {
-        TruthPass { object: "ball", max_bounces: BOUNCES, settings, pass, paths_per_pixel, outputs: COLOR_ALONE, table: None }
+        let original = Original::Diffuse;
+        TruthPass { object: "ball", max_bounces: BOUNCES, original, settings, pass, paths_per_pixel, outputs: COLOR_ALONE, table: None }
     }
 
     fn mean_of(passes: &mut TruthPasses, settings: &Settings, camera: &Camera, count: u32, paths: u32) -> Pixels {
-        let mut trace = |k| passes.trace(&pass(settings, k, paths), camera, &Unattended).unwrap();
+        mean_of_original(passes, (Original::Diffuse, settings), camera, count, paths)
+    }
+
+    fn mean_of_original(
+        passes: &mut TruthPasses,
+        (original, settings): (Original, &Settings),
+        camera: &Camera,
+        count: u32,
+        paths: u32,
+    ) -> Pixels {
+        let mut trace = |k| passes.trace(&TruthPass { original, ..pass(settings, k, paths) }, camera, &Unattended).unwrap();
         let mut mean = Accumulator::new(trace(0));
         (1..count).for_each(|k| mean.add(&trace(k)));
         mean.pixels().clone()
@@ -232,10 +243,11 @@ mod tests {
         let mut view = renderer.view(&camera, &[Truth::OneReflection, Truth::AsAuthored], &trace, &Unattended).unwrap();
         renderer.add_glossy(&mut view, &camera, &[(brdf.into(), brdf.into())], &trace, &Unattended).unwrap();
         let mut means: Vec<Vec3> = Vec::new();
-        for settings in fields.iter().chain([&of_map]) {
-            let truth = if settings.kind() == Kind::ParameterMap { Truth::AsAuthored } else { Truth::OneReflection };
+        let as_authored = [&fields[0], &of_map].map(|settings| (Original::AsAuthored, settings, Truth::AsAuthored));
+        let fields = fields.iter().map(|settings| (Original::Diffuse, settings, Truth::OneReflection));
+        for (original, settings, truth) in fields.chain(as_authored) {
             let reference = view.reference(settings, truth);
-            let traced = mean_of(&mut passes, settings, &camera, 64, 4);
+            let traced = mean_of_original(&mut passes, (original, settings), &camera, 64, 4);
             let counted: Vec<usize> = (0..view.mask.len()).filter(|i| view.mask[*i]).collect();
             let of = |at: usize| Vec3::from_slice(&traced.color[3 * at..3 * at + 3]);
             let pairs: Vec<(Vec3, Vec3)> = counted.iter().map(|i| (of(*i), Vec3::from(reference.rgb(*i)))).collect();

@@ -15,7 +15,7 @@ mod requests;
 use std::any::Any;
 use std::sync::Arc;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::geometry::Camera;
@@ -273,6 +273,25 @@ pub struct Captured<'a> {
     pub object: &'a str,
     /// Of the capture's paths; 0 for photographs.
     pub max_bounces: u32,
+    /// What the object looked like.
+    pub original: Original,
+}
+
+/// What an object looked like while it was captured.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Original {
+    /// Its diffuse part alone, which looks alike from everywhere.
+    #[default]
+    Diffuse,
+    /// As its materials say: highlights and what it reflects, as they were seen from each place.
+    AsAuthored,
+}
+
+impl Original {
+    fn is_diffuse(&self) -> bool {
+        *self == Self::Diffuse
+    }
 }
 
 /// Renders frames of one dataset on the CPU.
@@ -437,6 +456,11 @@ pub enum RenderError {
         "frames in other light, of clear bodies and of mirrors that see themselves read more than cube maps; to record one no relighting, another component or one reflection is expected"
     )]
     ReadsMore,
+    /// A frame that would light, or coat, what has its own light and reflections in it.
+    #[error(
+        "the object was captured as authored, its light and reflections are in it: its reconstruction in the light of the capture, mirror, glossy or a clear body expected"
+    )]
+    AsAuthored,
     /// Cube maps that do not tell how much of a coarse texel's light comes from infinity.
     #[error("the dataset was captured by a version that did not store what frames in other light need: capture it anew")]
     NoSkyShares,

@@ -8,6 +8,7 @@ use lumisphere::evaluate::ThinMetric;
 use lumisphere::fitting::{Outliers, Precision};
 use lumisphere::geometry::Camera;
 use lumisphere::render::Backend;
+use lumisphere::representations::Original;
 use lumisphere::representations::offset_surface_light_field::Spacing;
 use lumisphere::representations::parameter_map::{self, AllowedModels, MOST_CANDIDATES, MOST_SUGGESTIONS, SuggestSettings};
 use lumisphere::textures::{Codec, ContentHash, PixelFormat};
@@ -85,6 +86,8 @@ pub struct CaptureSpec {
     pub codec: Codec,
     /// Of the random numbers.
     pub seed: u64,
+    /// What the object looks like meanwhile.
+    pub original: Original,
 }
 
 /// From where.
@@ -418,7 +421,16 @@ fn capture(m: proto::CaptureSpec, field: &str) -> Result<CaptureSpec, ApiError> 
         pixel_format,
         codec,
         seed: m.seed,
+        original: original(m.original, &at("original"))?,
     })
+}
+
+fn original(value: i32, field: &str) -> Result<Original, ApiError> {
+    match proto::Original::try_from(value) {
+        Ok(proto::Original::Unspecified | proto::Original::Diffuse) => Ok(Original::Diffuse),
+        Ok(proto::Original::AsAuthored) => Ok(Original::AsAuthored),
+        Err(_) => Err(ApiError::field(field, format!("{value}, DIFFUSE or AS_AUTHORED expected"))),
+    }
 }
 
 fn evaluate(m: proto::EvaluateSpec, limits: &SpecLimits, field: &str) -> Result<EvaluateSpec, ApiError> {

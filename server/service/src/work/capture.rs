@@ -33,6 +33,7 @@ impl Work {
             samples_per_texel: spec.samples_per_texel,
             max_bounces: spec.max_bounces,
             seed: spec.seed,
+            original: spec.original,
         };
         let parameters = construct(&scene, &settings, staging, attempt)?;
         let object = scene.object(&spec.object).expect("construct found the object");

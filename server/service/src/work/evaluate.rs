@@ -34,6 +34,7 @@ impl Work {
         let tables = tables.into_iter().map(|hash| Ok((hash, version.tables.get(hash)?)));
         let plan = Plan {
             object: captured.object.into(),
+            original: captured.original,
             cameras: cameras(&spec.views, &version)?,
             settings: spec.settings.iter().map(|s| s.settings).collect(),
             mirror_truths: spec.truths.iter().map(|t| truth(*t)).collect(),

@@ -8,6 +8,7 @@ use super::{NO_SAMPLE, OffsetSurfaceLightField, Parameters, SamplePoint, to_part
 use crate::capture::{CaptureError, PartsError, SurfaceMesh, Viewpoint, bake_background, coarser_levels, trace_cube_maps};
 use crate::progress::{Cancelled, Progress};
 use crate::raytrace::{Appearance, TraceError, TraceSettings, Tracer};
+use crate::representations::Original;
 use crate::scenes::Scene;
 use crate::textures::{Codec, PixelFormat, Staging, StoreError};
 
@@ -34,6 +35,8 @@ pub struct ConstructSettings {
     pub max_bounces: u32,
     /// Of the random numbers.
     pub seed: u64,
+    /// What the object looks like to the cube maps.
+    pub original: Original,
 }
 
 /// Why no light field came of it.
@@ -111,7 +114,11 @@ pub fn construct(
 
     progress.report("placing sample points", 0, 1);
     let surface = SurfaceMesh::of(object);
-    let tracer = Tracer::new(scene)?.with_appearance(index, Appearance::Diffuse);
+    let appearance = match settings.original {
+        Original::Diffuse => Appearance::Diffuse,
+        Original::AsAuthored => Appearance::AsAuthored,
+    };
+    let tracer = Tracer::new(scene)?.with_appearance(index, appearance);
     let placed = place_sample_points(&surface, settings.spacing)?;
     let epsilon = settings.epsilon.unwrap_or_else(|| DEFAULT_EPSILON_PER_SPACING * spacing_of(&surface, placed.len()));
     let sample_points = offset_points(&placed, epsilon, &tracer);
@@ -146,6 +153,7 @@ pub fn construct(
         samples_per_texel: settings.samples_per_texel,
         max_bounces: settings.max_bounces,
         seed: settings.seed,
+        original: settings.original,
         thinned_from: None,
     };
     let field = OffsetSurfaceLightField { parameters, surface, sample_points, sample_maps, background };

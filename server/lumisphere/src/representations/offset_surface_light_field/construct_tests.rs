@@ -12,6 +12,7 @@ use crate::capture::PartsError;
 use crate::directions::FACES;
 use crate::geometry::{BezierPatch, PatchPoint, TriangleMesh};
 use crate::progress::{Cancelled, Progress, Unattended};
+use crate::representations::Original;
 use crate::scenes::{Albedo, Environment, Material, Object, Resolution, Scene, Surface, TeaSet, tea_set_patches, tessellate};
 use crate::textures::{
     Codec, DatasetVersion, Disk, LimitedDisk, LocalDisk, PageId, PixelFormat, Publication, Staging, Store, StoreError, StoreOptions,
@@ -75,6 +76,7 @@ fn settings() -> ConstructSettings {
         samples_per_texel: 4,
         max_bounces: 2,
         seed: 5,
+        original: Original::Diffuse,
     }
 }
 

@@ -22,7 +22,7 @@ use crate::radiometry::dielectric::Body;
 use crate::representations::frame_output::{BAND_BYTES, BYTES_PER_PIXEL, BoundBand, MAX_BAND_PIXELS};
 use crate::representations::g_buffer::{ProxyGeometry, Rasterizer, band_entries, object_entries};
 use crate::representations::page_source::CountingSource;
-use crate::representations::{FrameRequest, GpuFrameStats, GpuKernel, Pixels, RenderError, UploadUnit};
+use crate::representations::{FrameRequest, GpuFrameStats, GpuKernel, Original, Pixels, RenderError, UploadUnit};
 use crate::scenes::MOST_POINT_LIGHTS;
 use crate::textures::{Page, PageId, PixelFormat, PolicyKind};
 use light::LightTextures;
@@ -374,7 +374,7 @@ impl Kernel {
             .map_or((0, false, false), |gloss| (brdf_number(gloss.brdf), gloss.integrates_first(settings.blend), gloss.is_prefiltered()));
         let key = (
             (component_number(settings.component), settings.sees_itself()),
-            blend_number(settings),
+            blend_number(settings, self.field.parameters.original),
             brdf,
             textures,
             filtered,
@@ -383,6 +383,7 @@ impl Kernel {
         );
         let constants = [
             ("COMPONENT", f64::from(key.0.0)),
+            ("AS_AUTHORED", f64::from(u8::from(self.field.parameters.original == Original::AsAuthored))),
             ("SEES_ITSELF", f64::from(u8::from(key.0.1))),
             ("BLEND", f64::from(key.1)),
             ("BRDF_MODEL", f64::from(key.2.0)),
@@ -480,10 +481,11 @@ fn brdf_number(brdf: GlossBrdf) -> u32 {
 }
 
 // Reconstruction is corrected or not: of its other blends one pipeline serves all.
-fn blend_number(settings: &Settings) -> u32 {
+fn blend_number(settings: &Settings, original: Original) -> u32 {
     match settings.blend {
         Blend::Corrected => 6,
-        _ if settings.component == Component::Reconstruction => 0,
+        // One sample point shows it, whatever the blend.
+        _ if settings.component == Component::Reconstruction && original == Original::Diffuse => 0,
         Blend::Distance => 0,
         Blend::Angle => 1,
         Blend::Average => 2,

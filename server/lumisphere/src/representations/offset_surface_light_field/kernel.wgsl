@@ -47,6 +47,8 @@ override COMPONENT: u32 = 0u;
 override BLEND: u32 = 0u;
 // Whether MIRROR and FULL reflect more than once.
 override SEES_ITSELF: bool = false;
+// Whether the object was captured as authored.
+override AS_AUTHORED: bool = false;
 // Whether reads are over what a pixel covers.
 override FILTERED: bool = true;
 // Whether coarse levels stand in for pages that are not resident.
@@ -287,29 +289,75 @@ fn own_sample(at: Sight, candidates: vec4<u32>) -> OwnSample {
     return OwnSample(select(unseen.k, largest(cosines, seeing), any(seeing)), FILLED);
 }
 
-fn reconstruct(at: Sight, across: Sight, down: Sight, candidates: vec4<u32>) -> Shaded {
-    let x = at.position;
-    let n = at.normal;
-    if all(candidates == vec4(NO_SAMPLE)) {
-        return Shaded(vec3(0.0), PROVENANCE_UNKNOWN);
+fn own_weights(at: Sight, candidates: vec4<u32>) -> BlendWeights {
+    if AS_AUTHORED {
+        let x = at.position;
+        let n = at.normal;
+        var admits = (candidates != vec4(NO_SAMPLE)) & (cosines_above(x, n, candidates) > vec4(COS_HORIZON));
+        if BLEND == CORRECTED {
+            for (var k = 0u; k < 4u; k++) {
+                let lane = vec4(k) == vec4(0u, 1u, 2u, 3u);
+                let candidate = element(candidates, k);
+                if any(lane & admits) && !sees(candidate, sample_points[candidate].xyz, x) {
+                    admits &= !lane;
+                }
+            }
+        }
+        if any(admits) {
+            return blend_weights(
+                select(vec4(NO_SAMPLE), candidates, admits),
+                toward_sample(x, candidates.x, n),
+                toward_sample(x, candidates.y, n),
+                toward_sample(x, candidates.z, n),
+                toward_sample(x, candidates.w, n),
+                n,
+                -at.direction,
+            );
+        }
     }
     let own = own_sample(at, candidates);
-    let candidate = element(candidates, own.k);
+    return BlendWeights(only(own.k), own.answer);
+}
+
+// What a sample point shows of x.
+fn read_own(candidate: u32, at: Sight, across: Sight, down: Sight) -> vec3<f32> {
+    let x = at.position;
     let p = sample_points[candidate].xyz;
     let distance = length(p - x);
     let per_length = select(0.0, 1.0 / distance, distance > 0.0);
-    let up = toward(x, p, n);
-    let cosine = dot(n, up);
+    let up = toward(x, p, at.normal);
+    let cosine = dot(at.normal, up);
     let toward_x = DirectionDifferential(
         -up,
         short_of_the_horizon(within_the_surface(across) * per_length, cosine),
         short_of_the_horizon(within_the_surface(down) * per_length, cosine),
     );
-    var radiance = read_cube(candidate, toward_x);
+    return read_cube(candidate, toward_x);
+}
+
+fn reconstruct(at: Sight, across: Sight, down: Sight, candidates: vec4<u32>) -> Shaded {
+    if all(candidates == vec4(NO_SAMPLE)) {
+        return Shaded(vec3(0.0), PROVENANCE_UNKNOWN);
+    }
+    let own = own_weights(at, candidates);
+    let w = own.weights;
+    let heaviest = element(candidates, first_of(w == vec4(max(max(w.x, w.y), max(w.z, w.w)))));
+    var radiance = vec3(0.0);
+    if !AS_AUTHORED || BLEND == DISTANCE || BLEND == ANGLE {
+        // All the weight is on one sample point.
+        radiance = read_own(heaviest, at, across, down);
+    } else {
+        for (var k = 0u; k < 4u; k++) {
+            let weight = component(w, k);
+            if weight > 0.0 {
+                radiance += weight * read_own(element(candidates, k), at, across, down);
+            }
+        }
+    }
     if RELIT {
         radiance = relit(at, candidates, radiance);
     }
-    return Shaded(radiance, provenance_of(own.answer, candidate));
+    return Shaded(radiance, provenance_of(own.answer, heaviest));
 }
 
 fn mirror_direction(n: vec3<f32>, d: vec3<f32>) -> vec3<f32> {
@@ -400,7 +448,7 @@ fn blend_weights(
         return BlendWeights(vec4(0.0), UNKNOWN_ANSWER);
     }
     var weights = only(nearest);
-    if BLEND == ANGLE || BLEND == REFLECTION {
+    if BLEND == ANGLE || BLEND == REFLECTION || BLEND == CORRECTED {
         let cosines = vec4(dot(toward_0, r), dot(toward_1, r), dot(toward_2, r), dot(toward_3, r));
         if BLEND == ANGLE {
             weights = only(largest(cosines, valid));

@@ -3,6 +3,8 @@
 //! Because the sample points lie just above the surface, both the surface's own appearance and what it would reflect can be
 //! read from them. With x on the surface, n its normal, v the unit vector to the viewer, p a sample point, Lᵢ(p; d) its cube map:
 //! - reconstruction: `L(x) = Lᵢ(p; normalize(x − p))`, p the nearest of the texel's four with `n · normalize(p − x) > cos 65°`;
+//! - reconstruction of an object that was captured as authored, which does not look alike from everywhere:
+//!   `L(x, v) = Σⱼ βⱼ Lᵢ(pⱼ; normalize(x − pⱼ))`, βⱼ by [`Blend`] with v in place of r, so that it can favour the view direction;
 //! - mirror: `r = 2 n (n·v) − v`, `ŝⱼ = normalize(pⱼ − x)`, `L(x, v) = Σⱼ βⱼ Lᵢ(pⱼ; r)`, `Σⱼ βⱼ = 1`, βⱼ by [`Blend`];
 //! - mirror, depth-corrected: `Σⱼ βⱼ Lᵢ(pⱼ; x + t·r − pⱼ)`, t where the ray meets a surface by the stored distances (`corrected.rs`);
 //! - full: `reconstruction + C_s · mirror`;
@@ -52,7 +54,7 @@ use crate::radiometry::brdf::{AnalyticBrdf, BrdfModel, Measured};
 use crate::radiometry::dielectric::Dielectric;
 #[cfg(feature = "gpu")]
 use crate::representations::GpuKernel;
-use crate::representations::{Captured, CpuKernel, Kind, RenderError, Representation};
+use crate::representations::{Captured, CpuKernel, Kind, Original, RenderError, Representation};
 use crate::scenes::Relighting;
 use crate::textures::{ContentHash, PageId, PageShape};
 
@@ -86,6 +88,9 @@ const NARROW_WITH_TAILS: f32 = 0.036;
 const WIDE: f32 = 0.91;
 /// Directions of what is wider, or not one highlight alone; twice as many show little more.
 const DIRECTIONS_OF_WIDE: u32 = 64;
+/// N by which depth-corrected frames favour sample points toward the viewer, of an object that was captured as authored: best or next to it for
+/// lobes of every width (docs/measurements.md, "Specular originals").
+const OWN_EXPONENT: f32 = 1.0;
 /// Marks "no such sample point" in a sample map.
 pub const NO_SAMPLE: u16 = u16::MAX;
 
@@ -134,6 +139,9 @@ pub struct Parameters {
     pub max_bounces: u32,
     /// Of the capture.
     pub seed: u64,
+    /// What the object looked like to the cube maps.
+    #[serde(default, skip_serializing_if = "Original::is_diffuse")]
+    pub original: Original,
     /// What it had before it was thinned; None for what was captured so.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub thinned_from: Option<ThinnedFrom>,
@@ -518,6 +526,19 @@ impl OffsetSurfaceLightField {
         (taps, PyramidLevel::for_texels(FOOTPRINT_WIDTH * taps.texels, self.parameters.coarser_levels))
     }
 
+    // What was captured as authored has its light and its reflections in it.
+    fn check_original(&self, settings: &Settings) -> Result<(), RenderError> {
+        let is_there_already = match settings.component {
+            Component::Full => true,
+            Component::Reconstruction => settings.light.changes_light(),
+            Component::Mirror | Component::Glossy(_) | Component::Refraction(_) => false,
+        };
+        match self.parameters.original {
+            Original::AsAuthored if is_there_already => Err(RenderError::AsAuthored),
+            Original::AsAuthored | Original::Diffuse => Ok(()),
+        }
+    }
+
     // A page must have its level's shape before anything indexes into it.
     fn check_page(&self, page: u32, shape: PageShape) -> Result<(), RenderError> {
         let level = (page as usize).checked_sub(self.face_count()).map_or(0, |at| 1 + at / self.cube_count()) as u32;
@@ -540,7 +561,8 @@ impl Representation for OffsetSurfaceLightField {
     }
 
     fn captured(&self) -> Captured<'_> {
-        Captured { object: &self.parameters.object, max_bounces: self.parameters.max_bounces }
+        let Parameters { object, max_bounces, original, .. } = &self.parameters;
+        Captured { object, max_bounces: *max_bounces, original: *original }
     }
 
     fn page_count(&self) -> usize {

@@ -14,13 +14,13 @@ use super::object_tree::ObjectTree;
 use super::reflections::reflections;
 use super::refraction::refraction;
 use super::relight::{Lit, relit};
-use super::{Blend, Component, Filter, NO_SAMPLE, OffsetSurfaceLightField, RUNTIME_HORIZON_DEG, Settings};
+use super::{Blend, Component, Filter, NO_SAMPLE, OWN_EXPONENT, OffsetSurfaceLightField, RUNTIME_HORIZON_DEG, Settings};
 use crate::directions::{DirectionDifferential, PyramidLevel};
 use crate::geometry::Camera;
 use crate::radiometry::brdf::Measured;
-use crate::representations::RenderError;
 use crate::representations::g_buffer::{GBufferPixel, Seen};
 use crate::representations::provenance::{Answer, Provenance};
+use crate::representations::{Original, RenderError};
 
 /// Reads cube maps.
 pub(super) trait ReadCube {
@@ -162,7 +162,7 @@ pub(super) fn worse(own: Provenance, reflected: Provenance) -> Provenance {
     if (reflected.answer() as u32) > own.answer() as u32 { reflected } else { own }
 }
 
-/// The object's own appearance: `Lᵢ(p; normalize(x − p))`, p the [`own_sample`]; in other light [`relit`].
+/// The object's own appearance: `Σⱼ βⱼ Lᵢ(pⱼ; normalize(x − pⱼ))`, βⱼ the [`own_weights`]; in other light [`relit`].
 pub(super) fn reconstruct(
     field: &OffsetSurfaceLightField,
     settings: &Settings,
@@ -172,19 +172,55 @@ pub(super) fn reconstruct(
     cubes: &mut dyn ReadCube,
 ) -> Result<Shaded, RenderError> {
     let (x, n) = (at.position, at.normal);
-    let Some((k, answer)) = own_sample(field, settings, at, candidates, cubes)? else { return Ok(NOTHING) };
-    let j = candidates[k];
-    let p = field.sample_points[usize::from(j)].position;
-    let distance = (p - x).length();
-    let per_length = if distance > 0.0 { 1.0 / distance } else { 0.0 };
-    let up = toward(x, p, n);
-    let [across, down] = [0, 1].map(|k| short_of_the_horizon(within_the_surface(&by[k]) * per_length, n.dot(up)));
-    let radiance = cubes.read_cube(u32::from(j), &DirectionDifferential { direction: -up, across, down })?;
-    let own = Shaded { radiance, provenance: Provenance::new(answer, u32::from(j)) };
+    let weights = own_weights(field, settings, at, candidates, cubes)?;
+    if weights.answer == Answer::Unknown {
+        return Ok(NOTHING);
+    }
+    let toward_x = |j: u16| {
+        let p = field.sample_points[usize::from(j)].position;
+        let distance = (p - x).length();
+        let per_length = if distance > 0.0 { 1.0 / distance } else { 0.0 };
+        let up = toward(x, p, n);
+        let [across, down] = [0, 1].map(|k| short_of_the_horizon(within_the_surface(&by[k]) * per_length, n.dot(up)));
+        DirectionDifferential { direction: -up, across, down }
+    };
+    let own = blended(candidates, &weights, toward_x, cubes)?;
     match cubes.lit() {
         Some(lit) => relit(field, &lit, at, candidates, own, cubes),
         None => Ok(own),
     }
+}
+
+/// A diffuse object looks alike from everywhere: all of the weight on the [`own_sample`]. One that was captured as authored does not: the
+/// blend's rule with the direction to the viewer in place of the mirrored one, over the candidates within 65° of n; depth-corrected `max(v·ŝ, 0)ᴺ`
+/// with N = [`OWN_EXPONENT`] over those that see x, too. Where there are none the own sample alone (filled).
+fn own_weights(
+    field: &OffsetSurfaceLightField,
+    settings: &Settings,
+    at: &Sight,
+    candidates: [u16; 4],
+    cubes: &mut dyn ReadCube,
+) -> Result<BlendWeights, RenderError> {
+    if field.parameters.original == Original::AsAuthored {
+        let (x, n) = (at.position, at.normal);
+        let up = toward_samples(field, candidates, x, n);
+        let mut admitted = [NO_SAMPLE; 4];
+        for (k, j) in candidates.into_iter().enumerate().filter(|(k, j)| *j != NO_SAMPLE && n.dot(up[*k]) > cos_horizon()) {
+            let is_seen = settings.blend != Blend::Corrected || sees(u32::from(j), field.sample_points[usize::from(j)].position, x, cubes)?;
+            if is_seen {
+                admitted[k] = j;
+            }
+        }
+        let blend = if settings.blend == Blend::Corrected { Blend::Reflection { exponent: OWN_EXPONENT } } else { settings.blend };
+        let weights = blend_weights(blend, admitted, up, n, -at.direction);
+        if weights.answer != Answer::Unknown {
+            return Ok(weights);
+        }
+    }
+    Ok(match own_sample(field, settings, at, candidates, cubes)? {
+        Some((k, answer)) => BlendWeights { weights: only(k), answer },
+        None => BlendWeights { weights: [0.0; 4], answer: Answer::Unknown },
+    })
 }
 
 /// Which candidate shows x: the nearest within 65° of n, else (filled) the nearest. Depth-corrected, it must see x, too: the nearest that
@@ -200,7 +236,7 @@ pub(super) fn own_sample(
     let valid = candidates.map(|j| j != NO_SAMPLE);
     let Some(nearest) = valid.iter().position(|v| *v) else { return Ok(None) };
     let cosines = toward_samples(field, candidates, x, n).map(|s| n.dot(s));
-    let cos_horizon = RUNTIME_HORIZON_DEG.to_radians().cos();
+    let cos_horizon = cos_horizon();
     let within = std::array::from_fn::<_, 4, _>(|k| valid[k] && cosines[k] > cos_horizon).iter().position(|w| *w);
     if settings.blend != Blend::Corrected {
         return Ok(Some(within.map_or((nearest, Answer::Filled), |k| (k, Answer::Hit))));
@@ -216,6 +252,10 @@ pub(super) fn own_sample(
     let unseen = within.unwrap_or(nearest);
     let first = seeing.iter().position(|s| *s);
     Ok(Some((first.map_or(unseen, |first| largest(cosines, seeing, first)), Answer::Filled)))
+}
+
+fn cos_horizon() -> f32 {
+    RUNTIME_HORIZON_DEG.to_radians().cos()
 }
 
 // The derivative of the surface's point, no longer than the surface is like its tangent plane: beyond it, p sees past the object.

@@ -86,6 +86,7 @@ mod tests {
     use super::*;
     use crate::capture::{Background, BackgroundSurface, SurfaceMesh};
     use crate::geometry::TriangleMesh;
+    use crate::representations::Original;
     use crate::scenes::{Albedo, Environment};
 
     fn triangle() -> TriangleMesh {
@@ -112,6 +113,7 @@ mod tests {
                 samples_per_texel: 1,
                 max_bounces: 1,
                 seed: 7,
+                original: Original::AsAuthored,
                 thinned_from: None,
             },
             surface: SurfaceMesh { mesh: triangle(), part_of_triangle: vec![0], parts: 1 },

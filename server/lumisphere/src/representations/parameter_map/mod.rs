@@ -40,7 +40,7 @@ use crate::fitting::{Flags, Outliers, Precision};
 use crate::gpu::{Gpu, GpuError};
 #[cfg(feature = "gpu")]
 use crate::representations::GpuKernel;
-use crate::representations::{Captured, CpuKernel, Kind, RenderError, Representation};
+use crate::representations::{Captured, CpuKernel, Kind, Original, RenderError, Representation};
 use crate::textures::{PageId, PageShape, PixelFormat};
 
 pub use construct::{ConstructSettings, FitError, FitSource, FollowFit, PartialMap, ReadObservations, construct};
@@ -236,7 +236,8 @@ impl Representation for ParameterMap {
     }
 
     fn captured(&self) -> Captured<'_> {
-        Captured { object: &self.parameters.observed.object, max_bounces: self.parameters.observed.max_bounces }
+        let observed = &self.parameters.observed;
+        Captured { object: &observed.object, max_bounces: observed.max_bounces, original: Original::AsAuthored }
     }
 
     fn page_count(&self) -> usize {

@@ -13,7 +13,7 @@ use std::time::Instant;
 use rayon::prelude::*;
 
 use super::super::coarse::with_levels_of_a_face;
-use super::super::{Blend, Component, GlossBrdf, Settings};
+use super::super::{Blend, Component, GlossBrdf, OWN_EXPONENT, Settings};
 use super::{BoundAtlas, Kernel, PAGES_OF_A_PIXEL, ShadingUniform};
 use crate::directions::FACES;
 use crate::gpu::{Gpu, GpuError, Upload, conform};
@@ -93,6 +93,7 @@ impl Kernel {
         let AnySettings::OffsetSurfaceLightField(settings) = request.settings else {
             return Err(RenderError::OtherKind { settings: request.settings.kind() });
         };
+        self.field.check_original(settings)?;
         let bands = frame_output::bands(&self.gpu, request.camera)?;
         self.check_directions(settings)?;
         self.ensure_light(settings, pages)?;
@@ -368,7 +369,8 @@ fn halves(pixels: &Range<u32>) -> Option<[Part; 2]> {
 fn exponent(blend: Blend) -> f32 {
     match blend {
         Blend::Reflection { exponent } | Blend::Normal { exponent } => exponent,
-        Blend::Distance | Blend::Angle | Blend::Average | Blend::EnvironmentMap | Blend::Corrected => 0.0,
+        Blend::Corrected => OWN_EXPONENT,
+        Blend::Distance | Blend::Angle | Blend::Average | Blend::EnvironmentMap => 0.0,
     }
 }
 

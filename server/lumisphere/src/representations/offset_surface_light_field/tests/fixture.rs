@@ -11,6 +11,7 @@ use crate::directions::{FACES, direction_from_face, direction_from_lat_long, tex
 use crate::geometry::{Camera, Intrinsics, Pose, TriangleMesh};
 use crate::images::Image;
 pub(crate) use crate::representations::MemoryPages;
+use crate::representations::Original;
 use crate::representations::offset_surface_light_field::{
     NO_SAMPLE, OffsetSurfaceLightField, Parameters, SamplePoint, Spacing, build_sample_maps,
 };
@@ -155,6 +156,7 @@ impl World {
             samples_per_texel: 1,
             max_bounces: 1,
             seed: 0,
+            original: Original::Diffuse,
             thinned_from: None,
         };
         let background = self.background();

@@ -24,8 +24,8 @@ use crate::representations::offset_surface_light_field::{
     Blend, Component, Filter, Gloss, GlossBrdf, Integration, OffsetSurfaceLightField, Order, Settings,
 };
 use crate::representations::{
-    Answer, CountingSource, FrameRequest, GpuFrameStats, GpuKernel, Outputs, Pixels, Provenance, Refine, RenderError as Error,
-    Representation, Settings as AnySettings,
+    Answer, CountingSource, CpuKernel, FrameRequest, GpuFrameStats, GpuKernel, Original, Outputs, Pixels, Provenance, Refine,
+    RenderError as Error, Representation, Settings as AnySettings,
 };
 use crate::scenes::{PointLight, Relighting};
 use crate::textures::{ContentHash, PixelFormat};
@@ -338,6 +338,32 @@ fn shading_agrees_on_every_setting_in_a_room() {
 #[test]
 fn shading_agrees_on_every_setting_where_sample_points_see_something_else() {
     every_setting_agrees_of(&NEAR, with_liars(|cube| cube % 3 != 0, 1e-4));
+}
+
+#[test]
+fn reconstructions_agree_of_what_was_captured_as_authored() {
+    for (world, kept, lies) in [(&WORLD, 4, false), (&WORLD, 3, false), (&WORLD, 1, false), (&NEAR, 4, true)] {
+        let (mut field, pages) = if lies { with_liars(|cube| cube % 3 != 0, 1e-4) } else { world.build() };
+        starve(&mut field, kept);
+        field.parameters.original = Original::AsAuthored;
+        let Some(mut twins) = Twins::new((field, pages), BUDGET) else { return };
+        let camera = world.camera(Vec3::new(1.2, 0.9, 2.4), Vec3::new(0.1, -0.1, 0.0), WIDTH, HEIGHT);
+        for (blend, filter) in BLENDS.into_iter().flat_map(|blend| [Filter::Bilinear, Filter::Footprint].map(|filter| (blend, filter))) {
+            let settings = Settings { filter, ..settings(Component::Reconstruction, blend) };
+            let (pixels, _) = twins.on_gpu(&camera, settings).unwrap();
+            let (color, provenance) = twins.shaded(&camera, settings, &twins.kernel.read_g_buffer());
+            let ours = (pixels.color.as_slice(), pixels.provenance.as_deref().unwrap());
+            agree((&color, &provenance), ours, &Tolerance::F32_LOOKUP, TIES).unwrap_or_else(|e| panic!("{kept} kept, {settings:?}: {e}"));
+        }
+        let other_light = Settings { light: Relighting::new(1.0, &[]).unwrap(), ..settings(Component::Reconstruction, Blend::Average) };
+        for refused in [other_light, settings(Component::Full, Blend::Average)] {
+            assert!(matches!(twins.on_gpu(&camera, refused), Err(Error::AsAuthored)), "{refused:?}");
+            let any = AnySettings::OffsetSurfaceLightField(refused);
+            let request = FrameRequest { camera: &camera, settings: &any, outputs: EVERYTHING, refine: Refine::Whole, table: None };
+            let on_cpu = twins.reference.render(&request, &CountingSource::new(&twins.pages));
+            assert!(matches!(on_cpu, Err(Error::AsAuthored)), "{refused:?}");
+        }
+    }
 }
 
 #[test]
