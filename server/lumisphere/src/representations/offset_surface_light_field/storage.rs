@@ -113,6 +113,7 @@ mod tests {
                 max_bounces: 1,
                 seed: 7,
                 thinned_from: None,
+                replaced: None,
             },
             surface: SurfaceMesh { mesh: triangle(), part_of_triangle: vec![0], parts: 1 },
             sample_points: vec![SamplePoint { position: Vec3::Z, normal: Vec3::Z }],

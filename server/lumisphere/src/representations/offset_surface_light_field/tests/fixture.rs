@@ -156,6 +156,7 @@ impl World {
             max_bounces: 1,
             seed: 0,
             thinned_from: None,
+            replaced: None,
         };
         let background = self.background();
         (OffsetSurfaceLightField { parameters, surface, sample_points, sample_maps, background }, MemoryPages(pages))
