@@ -29,8 +29,8 @@ use lumisphere::textures::{Cache, CacheOptions, Codec, DatasetVersion, PixelForm
 const POINTS: u32 = 160;
 const FACE: u32 = 64;
 const MAP: u32 = 128;
-const PATHS: u32 = 16;
-const BOUNCES: u32 = 3;
+const PATHS: u32 = 4;
+const BOUNCES: u32 = 2;
 const RUNS: usize = 3;
 
 struct Stored {
@@ -52,6 +52,7 @@ fn main() {
     let ((low, high), (cup_low, cup_high)) = (scene.objects[teapot].mesh.bounds(), scene.objects[cup].mesh.bounds());
     let foot = Vec3::new(0.5 * (low.x + high.x), low.y, 0.5 * (low.z + high.z));
     let placement = Placement { stand_at: Some(foot), turn_deg: 0.0, scale: 0.95 * ((high - low) / (cup_high - cup_low)).min_element() };
+    println!("the cup {} times as large at {foot}", placement.scale);
     let put = |name: &str, order: [Surrounding; 3]| {
         let settings = ReplaceSettings {
             object: "cup".into(),
@@ -77,7 +78,7 @@ fn main() {
     made.sort_by(|a, b| a.seconds.total_cmp(&b.seconds));
     let replaced = made.swap_remove(RUNS / 2);
     use Surrounding::{Background, Baseline, CubeMaps};
-    let orders = [[CubeMaps, Background, Baseline], [Baseline, CubeMaps, Background], [Background, CubeMaps, Baseline]];
+    let orders = [[Baseline, CubeMaps, Background], [Background, CubeMaps, Baseline]];
     let others: Vec<Stored> =
         orders.iter().map(|order| put(&format!("order-{}", order.map(|s| format!("{s:?}")).join("-").to_lowercase()), *order)).collect();
 
@@ -175,14 +176,14 @@ fn compare(truth: &Scene, fields: &[Named], settings: AnySettings, pictures: Opt
     let (center, radius) = (0.5 * (low + high), 0.5 * (high - low).length());
     let camera = |toward: Vec3| {
         let pose = Pose::look_at(center + 4.0 * radius * toward.normalize(), center, Vec3::Y).expect("a pose");
-        Camera::new(Intrinsics::from_vfov(30.0, 200, 150).expect("an angle"), pose).expect("a camera")
+        Camera::new(Intrinsics::from_vfov(30.0, 160, 120).expect("an angle"), pose).expect("a camera")
     };
     let plan = Plan {
         object: "teapot".into(),
         cameras: vec![camera(Vec3::new(0.5, 0.5, 1.0)), camera(Vec3::new(-1.0, 0.4, -0.3))],
         settings: vec![settings; fields.len()],
         mirror_truths: vec![Truth::OneReflection],
-        trace: TraceSettings { samples_per_pixel: 256, max_bounces: BOUNCES, seed: 9 },
+        trace: TraceSettings { samples_per_pixel: 128, max_bounces: BOUNCES, seed: 9 },
         timed_frames: 1,
         tables: Default::default(),
     };

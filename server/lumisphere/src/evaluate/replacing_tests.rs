@@ -13,9 +13,7 @@ use crate::representations::offset_surface_light_field as oslf;
 use crate::representations::{FrameRequest, Outputs, Refine, RenderError};
 use crate::scenes::{Environment, EnvironmentMap, LoadOptions, SceneBundle, load};
 use crate::textures::{Codec, PixelFormat};
-use oslf::{
-    Blend, Component, Filter, OffsetSurfaceLightField, Placement, ReplaceSettings, Shares, Spacing, Surrounding, build_sample_maps, replace,
-};
+use oslf::{Blend, Component, Filter, OffsetSurfaceLightField, Placement, ReplaceSettings, Shares, Spacing, build_sample_maps, replace};
 
 fn ball() -> Value {
     json!({"name": "ball", "shape": {"type": "sphere", "center": [0, 0, 0], "radius": 1, "segments": 40}, "material": "red"})
@@ -55,7 +53,7 @@ fn field(stored: &Stored) -> &OffsetSurfaceLightField {
 }
 
 /// The vase, out of a scene of its own, in the ball's light.
-fn replaced(light: &Stored, order: [Surrounding; 3]) -> (Stored, Shares) {
+fn replaced(light: &Stored) -> (Stored, Shares) {
     let mut shares = Shares::default();
     let made = stored(|staging| {
         let settings = ReplaceSettings {
@@ -69,7 +67,7 @@ fn replaced(light: &Stored, order: [Surrounding; 3]) -> (Stored, Shares) {
             pixel_format: PixelFormat::F16,
             codec: Codec::DEFAULT,
             rays_per_texel: 16,
-            order,
+            order: oslf::NEAREST_FIRST,
             scene_bytes: u64::MAX,
         };
         let (parameters, told) =
@@ -95,10 +93,13 @@ fn fixture() -> &'static Fixture {
         let truth = scene(Some(vase()));
         let light = captured(&scene(Some(ball())), "ball", POINTS, None);
         let captured = captured(&truth, "vase", POINTS, None);
-        let (replaced, shares) = replaced(&light, oslf::NEAREST_FIRST);
+        let (replaced, shares) = replaced(&light);
         println!("{shares:?}");
         let sum = shares.object + shares.environment + shares.cube_maps + shares.baseline + shares.background + shares.unknown;
-        assert!((sum - 1.0).abs() < 1e-9 && shares.object > 0.3 && shares.cube_maps > 0.02 && shares.unknown == 0.0, "{shares:?}");
+        assert!(
+            (sum - 1.0).abs() < 1e-9 && shares.object > 0.3 && shares.cube_maps + shares.background > 0.1 && shares.unknown == 0.0,
+            "{shares:?}"
+        );
         let mut naive = field(&light).clone();
         naive.surface = field(&captured).surface.clone();
         naive.sample_maps = build_sample_maps(&naive.surface, &naive.sample_points, 64, &|_, _| true);
@@ -145,7 +146,7 @@ fn errors(frames: &[(&Stored, Settings)]) -> Vec<[f64; 2]> {
     rows.iter().map(|row| [row.error.rmse_lab[0], row.error.delta_e_2000_mean]).collect()
 }
 
-/// What is left is the ball's shadow on the floor, which the vase's mirror shows, and the cube maps' own texels, read once more.
+/// 1.16 times the captured one's is measured (1.13 and .98), half of what the ball's cube maps show there.
 #[test]
 fn a_mirror_in_replaced_light_is_near_the_truth() {
     let Fixture { light, captured, replaced, naive, .. } = fixture();
@@ -154,30 +155,15 @@ fn a_mirror_in_replaced_light_is_near_the_truth() {
     let found =
         errors(&[&frames[..], &[(light, mirror(Blend::EnvironmentMap)), (naive, mirror(Blend::Normal { exponent: 4.0 }))]].concat());
     println!("mirror replaced, captured, naive, one environment map, naive uncorrected: {found:?}");
-    assert!(found[0][1] < 2.0 * found[1][1], "{found:?}");
+    assert!(found[0][1] < 1.3 * found[1][1], "{found:?}");
     assert!(found[2..].iter().all(|naive| found[0][1] < 0.6 * naive[1]), "{found:?}");
 }
 
+/// 1.01 times is measured (.609 and .603), a 50th of the control.
 #[test]
 fn a_diffuse_object_in_replaced_light_is_near_the_truth() {
     let Fixture { captured, replaced, naive, .. } = fixture();
     let found = errors(&[replaced, captured, naive].map(|stored| (stored, shown(Component::Reconstruction, Blend::Corrected))));
     println!("diffuse replaced, captured, naive: {found:?}");
-    assert!(found[0][1] < 3.0 * found[1][1] && found[0][1] < 0.3 * found[2][1], "{found:?}");
-}
-
-#[test]
-fn orders() {
-    use Surrounding::{Background, Baseline, CubeMaps};
-    let light = &fixture().light;
-    for order in [
-        [CubeMaps, Baseline, Background],
-        [CubeMaps, Background, Baseline],
-        [Baseline, CubeMaps, Background],
-        [Background, CubeMaps, Baseline],
-    ] {
-        let (made, shares) = replaced(light, order);
-        let mirror = |blend| (&made, shown(Component::Mirror, blend));
-        println!("{order:?} {shares:?} {:?}", errors(&[mirror(Blend::Corrected), mirror(Blend::Normal { exponent: 4.0 })]));
-    }
+    assert!(found[0][1] < 1.15 * found[1][1] && found[0][1] < 0.1 * found[2][1], "{found:?}");
 }

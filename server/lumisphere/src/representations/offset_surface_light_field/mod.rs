@@ -148,7 +148,7 @@ pub struct Parameters {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Replaced {
-    /// The object that was captured; its shadow and its colour are still in the light.
+    /// The object that was captured; what it reflected onto its surroundings is still there.
     pub object: String,
     /// The light field that it was captured in, as whoever made this names it.
     pub light: String,

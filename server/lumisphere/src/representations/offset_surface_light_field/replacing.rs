@@ -3,15 +3,17 @@
 //!
 //! A texel of a new cube map shows, along a ray, what is met first among the new object and what was around the old one (`Background`):
 //! - the new object: `ρ/π · E`, E baked at its vertices from the stored light and shadowed by itself (`stage.rs`);
-//! - the surroundings: their radiance as the old light field holds it (`surroundings.rs`), never from texels that show the old object;
+//! - the surroundings: their radiance as the old light field holds it (`surroundings.rs`), never from texels that show the old object, and near the
+//!   objects with the new one's shadow in place of the old one's (`changed_light.rs`);
 //! - nothing: the environment.
 //!
 //! Everything else, placing, coarser levels, sample maps, is what `construct.rs` does. Texels whose rays miss everything are infinitely far, so the
 //! shares of the sky that frames in other light ask for are those of the new object.
 //!
-//! Wrong by construction: the old object's shadow and the light that it reflected stay in what was around it, the new one casts none there; point
-//! lights are not stored and do not light the new object; what is not diffuse is seen as from another place.
+//! Wrong by construction: the light that the old object reflected stays on what was around it, the new one reflects none there; point lights are not
+//! stored: they do not light the new object, and their shadows stay the old one's; what is not diffuse is seen as from another place, in the old light.
 
+mod changed_light;
 mod old_object;
 mod stage;
 mod surroundings;
@@ -35,12 +37,16 @@ use crate::representations::{CountingSource, PageSource, RenderError};
 use crate::scenes::{Albedo, Material, Object, Scene, Surface};
 use crate::textures::{Codec, PixelFormat, Staging};
 
+use changed_light::ChangedLight;
 use stage::{Stage, unlit};
 pub use surroundings::Surrounding;
 use surroundings::{LightReader, Source, Surroundings};
 
 /// The order in which surroundings are looked up that shows them best (docs/measurements.md, "Another object in the same light").
 pub const NEAREST_FIRST: [Surrounding; 3] = [Surrounding::CubeMaps, Surrounding::Baseline, Surrounding::Background];
+
+/// Of the new baseline: the old one's light is that without any object.
+const BASELINE_FIRST: [Surrounding; 3] = [Surrounding::Baseline, Surrounding::CubeMaps, Surrounding::Background];
 
 /// Most rays of a texel.
 const MOST_RAYS: u32 = 1024;
@@ -219,7 +225,7 @@ pub fn replace(
     let (center, radius) = (0.5 * (low + high), 0.5 * (high - low).length());
 
     progress.report("placing sample points", 0, 1);
-    let dark = dark_scene(&field.background, object, &surface.mesh);
+    let dark = dark_scene(&field.background, &object.name, &surface.mesh);
     let bytes = working_bytes(&dark);
     if bytes > settings.scene_bytes {
         return Err(ReplaceError::TooLarge { bytes, limit_bytes: settings.scene_bytes });
@@ -230,11 +236,20 @@ pub fn replace(
     progress.report("placing sample points", 1, 1);
 
     let pages = CountingSource::new(source);
-    let surroundings = Surroundings::new(field, &pages, settings.order, progress)?;
+    let surroundings = Surroundings::new(field, &pages, progress)?;
+    let Parameters { max_bounces, seed, .. } = field.parameters;
+    let changed = {
+        let old = dark_scene(&field.background, &field.parameters.object, &field.surface.mesh);
+        let old = Tracer::new(&old).map_err(ConstructError::from)?;
+        let (old_low, old_high) = field.surface.mesh.bounds();
+        let around = (low.min(old_low), high.max(old_high));
+        let sphere = (0.5 * (around.0 + around.1), 0.5 * (around.1 - around.0).length());
+        ChangedLight::new(&field.background, (&old, &tracer), sphere, seed, progress)?
+    };
+    let background = changed.background.clone();
     let fine = unlit(&surface.mesh, albedo, radius);
     let fine_mesh = fine.mesh.clone();
-    let mut with_object = Stage::with_object(&field.background, fine, &scene.textures);
-    let Parameters { max_bounces, seed, .. } = field.parameters;
+    let mut with_object = Stage::with_object(changed, fine, &scene.textures);
     with_object.light_object(&fine_mesh, &tracer, &surroundings, (max_bounces, seed), progress)?;
     let without_object = Stage::empty(&field.background, &surface.mesh);
 
@@ -245,8 +260,9 @@ pub fn replace(
         steps: rays_along_an_edge(settings.rays_per_texel),
     };
     let viewpoint = |k: usize| match sample_points.get(k) {
-        Some(point) => (&with_object, point.position),
-        None => (&without_object, center),
+        Some(point) => (&with_object, settings.order, point.position),
+        // As captures are: in the light without any object.
+        None => (&without_object, BASELINE_FIRST, center),
     };
     let count = sample_points.len() + 1;
     let fill = |k: usize| filling.cube_map(viewpoint(k), progress);
@@ -269,7 +285,7 @@ pub fn replace(
         thinned_from: None,
         replaced: Some(Replaced { object: field.parameters.object.clone(), light: settings.light.clone() }),
     };
-    let made = OffsetSurfaceLightField { parameters, surface, sample_points, sample_maps, background: field.background.clone() };
+    let made = OffsetSurfaceLightField { parameters, surface, sample_points, sample_maps, background };
     for (name, bytes) in to_parts(&made).map_err(ConstructError::from)? {
         staging.put_blob(name, &bytes).map_err(ConstructError::from)?;
     }
@@ -337,7 +353,7 @@ fn within_the_volume(field: &OffsetSurfaceLightField, mesh: &TriangleMesh, objec
 }
 
 /// The surroundings and the object, black: for questions about geometry and for light straight from where it is emitted.
-fn dark_scene(background: &Background, object: &Object, mesh: &TriangleMesh) -> Scene {
+fn dark_scene(background: &Background, object: &str, mesh: &TriangleMesh) -> Scene {
     let black = |name: String, mesh: &TriangleMesh, emission: Vec3| Object {
         name,
         mesh: mesh.clone(),
@@ -347,7 +363,7 @@ fn dark_scene(background: &Background, object: &Object, mesh: &TriangleMesh) -> 
     };
     let around = background.surfaces.iter().enumerate();
     let mut objects: Vec<Object> = around.map(|(i, s)| black(format!("surface {i}"), &s.mesh, s.emission)).collect();
-    objects.push(black(object.name.clone(), mesh, Vec3::ZERO));
+    objects.push(black(object.into(), mesh, Vec3::ZERO));
     Scene {
         name: String::new(),
         objects,
@@ -359,6 +375,9 @@ fn dark_scene(background: &Background, object: &Object, mesh: &TriangleMesh) -> 
         notes: Vec::new(),
     }
 }
+
+/// From where a cube map is taken: what is around it, where that is looked up first, and its place.
+type View<'a> = (&'a Stage, [Surrounding; 3], Vec3);
 
 /// How cube maps are filled.
 struct Filling<'a> {
@@ -376,8 +395,8 @@ struct Asked<'p> {
 }
 
 impl Filling<'_> {
-    fn cube_map(&self, (stage, position): (&Stage, Vec3), progress: &dyn Progress) -> Result<CubeMap, ReplaceError> {
-        let pool = self.surroundings.pool(position);
+    fn cube_map(&self, from: View<'_>, progress: &dyn Progress) -> Result<CubeMap, ReplaceError> {
+        let pool = self.surroundings.pool(from.2);
         let across = self.size.div_ceil(TILE);
         let tile = |light: &mut LightReader<'_>, number: usize| {
             if progress.is_cancelled() {
@@ -386,7 +405,7 @@ impl Filling<'_> {
             let mut asked = Asked { pool: &pool, by_proxy: Vec::new() };
             let mut texels = Vec::with_capacity(TILE * TILE);
             for at in self.tile(number) {
-                texels.push(self.texel(stage, position, at, &mut asked, light, &mut |_| ())?);
+                texels.push(self.texel(from, at, &mut asked, light, &mut |_| ())?);
             }
             Ok(texels)
         };
@@ -415,8 +434,7 @@ impl Filling<'_> {
     /// Mean radiance over the texel, and how far what is at its centre is; `told` is told where every ray's light came from.
     fn texel(
         &self,
-        stage: &Stage,
-        position: Vec3,
+        (stage, order, position): View<'_>,
         at: Texel,
         asked: &mut Asked<'_>,
         light: &mut LightReader<'_>,
@@ -441,7 +459,7 @@ impl Filling<'_> {
                     asked.by_proxy.push((met.proxy, self.surroundings.ranked(asked.pool, position, met.position)));
                     asked.by_proxy.len() - 1
                 });
-                self.surroundings.seen(&met, &asked.by_proxy[found].1, light)?
+                self.surroundings.seen(&met, order, &asked.by_proxy[found].1, light)?
             };
             told(source);
             sum += radiance;
@@ -459,7 +477,7 @@ impl Filling<'_> {
     fn shares<'v>(
         &self,
         count: usize,
-        viewpoint: &(dyn Fn(usize) -> (&'v Stage, Vec3) + Sync),
+        viewpoint: &(dyn Fn(usize) -> View<'v> + Sync),
         progress: &dyn Progress,
     ) -> Result<Shares, ReplaceError> {
         progress.report("counting shares", 0, 1);
@@ -468,14 +486,14 @@ impl Filling<'_> {
             if progress.is_cancelled() {
                 return Err(ReplaceError::from(Cancelled));
             }
-            let (stage, position) = viewpoint(k);
-            let pool = self.surroundings.pool(position);
+            let from = viewpoint(k);
+            let pool = self.surroundings.pool(from.2);
             let mut shares = Shares::default();
             for texel in 0..FACES * told * told {
                 let place = |c: usize| (2 * c + 1) * self.size / (2 * told);
                 let at = Texel { face: texel / told / told, row: place(texel / told % told), column: place(texel % told) };
                 let mut asked = Asked { pool: &pool, by_proxy: Vec::new() };
-                self.texel(stage, position, at, &mut asked, light, &mut |source| shares.add(source, 1.0))?;
+                self.texel(from, at, &mut asked, light, &mut |source| shares.add(source, 1.0))?;
             }
             Ok(shares)
         };

@@ -10,6 +10,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use glam::Vec3;
 use rayon::prelude::*;
 
+use super::changed_light::ChangedLight;
 use super::surroundings::{LightReader, Surroundings};
 use crate::capture::{Background, BackgroundSurface};
 use crate::geometry::{Ray, TriangleMesh, subdivide};
@@ -39,6 +40,8 @@ pub(super) struct Stage {
     bvh: Bvh,
     /// Number of the object's proxy; it is the last.
     object: Option<u32>,
+    /// Vertices whose light is not that of the old object's time; none where there are fewer.
+    is_changed: Vec<bool>,
 }
 
 /// What a ray meets.
@@ -52,6 +55,8 @@ pub(super) struct Met {
     pub is_object: bool,
     /// False where a proxy is not diffuse.
     pub is_known: bool,
+    /// Cube maps show another light than falls there now.
+    pub is_changed: bool,
     /// Toward the ray's origin.
     pub emission: Vec3,
     /// All of it.
@@ -72,20 +77,22 @@ impl Stage {
         let geometry = ProxyGeometry::new(mesh, &[], background);
         let corners = |t: &[u32; 3]| t.map(|v| Vec3::from(geometry.background_vertices[v as usize].position));
         let triangles: Vec<[Vec3; 3]> = geometry.background_triangles.iter().map(corners).collect();
-        Self { bvh: Bvh::build(&triangles), geometry, object: None }
+        Self { bvh: Bvh::build(&triangles), geometry, object: None, is_changed: Vec::new() }
     }
 
     /// With an object, which is dark; its albedo may name one of `textures`.
-    pub fn with_object(background: &Background, object: BackgroundSurface, textures: &[Texture]) -> Self {
+    pub fn with_object(light: ChangedLight, object: BackgroundSurface, textures: &[Texture]) -> Self {
+        let ChangedLight { background, is_changed } = light;
         let albedo = match object.albedo {
             Some(Albedo::Texture(t)) => Some(Albedo::Texture(background.textures.len() + t)),
             other => other,
         };
         let mesh = object.mesh.clone();
-        let mut all = background.clone();
+        let number = background.surfaces.len() as u32;
+        let mut all = background;
         all.surfaces.push(BackgroundSurface { albedo, ..object });
         all.textures.extend_from_slice(textures);
-        Self { object: Some(background.surfaces.len() as u32), ..Self::empty(&all, &mesh) }
+        Self { object: Some(number), is_changed, ..Self::empty(&all, &mesh) }
     }
 
     /// Shorter lengths are none.
@@ -98,12 +105,14 @@ impl Stage {
         let hit = self.bvh.nearest(ray.origin, ray.direction, f32::INFINITY, stack)?;
         let weights = Vec3::new(1.0 - hit.u - hit.v, hit.u, hit.v);
         let ProxySeen { material, emission, radiance, .. } = self.geometry.proxy(ray, hit.distance, hit.triangle as usize, weights, angle);
+        let corners = self.geometry.background_triangles[hit.triangle as usize];
         Some(Met {
             distance: hit.distance,
             position: ray.at(hit.distance),
             proxy: material,
             is_object: self.object == Some(material),
             is_known: self.geometry.materials[material as usize].unknown == 0,
+            is_changed: corners.iter().any(|v| self.is_changed.get(*v as usize) == Some(&true)),
             emission,
             radiance,
         })

@@ -1,6 +1,6 @@
 //! What is around the new object, read from a light field that was captured around another.
 //!
-//! A point of the surroundings is looked up, in an order that can be chosen, in the cube maps of sample points that see it, in the baseline's, which
+//! A point of the surroundings whose light is another now (`changed_light.rs`) has its proxy's. Any other is looked up, in an order that can be chosen, in the cube maps of sample points that see it, in the baseline's, which
 //! was taken without the old object, or in the proxies' baked light. A cube map sees a point where its stored distances agree with how far the
 //! point is, and shows nothing of the old object around it (`old_object.rs`). Of sample points those come first that see it most as the new one
 //! does (Buehler et al. 2001, "Unstructured lumigraph rendering": angle, and loss of resolution).
@@ -51,7 +51,6 @@ pub(super) struct Surroundings<'a> {
     pages: &'a CountingSource<'a>,
     touched: PagesTouched,
     old: OldObject,
-    order: [Surrounding; 3],
 }
 
 /// What a thread reads it with.
@@ -68,14 +67,9 @@ impl LightReader<'_> {
 
 impl<'a> Surroundings<'a> {
     /// Finds out which texels show the old object.
-    pub fn new(
-        field: &'a OffsetSurfaceLightField,
-        pages: &'a CountingSource<'a>,
-        order: [Surrounding; 3],
-        progress: &dyn Progress,
-    ) -> Result<Self, Cancelled> {
+    pub fn new(field: &'a OffsetSurfaceLightField, pages: &'a CountingSource<'a>, progress: &dyn Progress) -> Result<Self, Cancelled> {
         let old = OldObject::new(field, progress)?;
-        Ok(Self { field, pages, touched: PagesTouched::new(field.page_count()), old, order })
+        Ok(Self { field, pages, touched: PagesTouched::new(field.page_count()), old })
     }
 
     pub fn reader(&self) -> LightReader<'_> {
@@ -115,8 +109,17 @@ impl<'a> Surroundings<'a> {
     }
 
     /// Radiance of what was met, and where it was read; `candidates` are asked in their order.
-    pub fn seen(&self, met: &Met, candidates: &[u16], light: &mut LightReader<'_>) -> Result<(Vec3, Source), RenderError> {
-        for surrounding in self.order {
+    pub fn seen(
+        &self,
+        met: &Met,
+        order: [Surrounding; 3],
+        candidates: &[u16],
+        light: &mut LightReader<'_>,
+    ) -> Result<(Vec3, Source), RenderError> {
+        if met.is_changed && met.is_known {
+            return Ok((met.radiance, Source::Light(Surrounding::Background)));
+        }
+        for surrounding in order {
             let found = match surrounding {
                 Surrounding::CubeMaps => self.first_that_sees(met.position, candidates, light)?,
                 Surrounding::Baseline => self.baseline(met.position, light)?,

@@ -164,7 +164,7 @@ fn no_texel_shows_the_old_object() {
         let (_store, staging) = stage(root.path());
         let (parameters, shares) =
             replace((&field, &source), &new_scene(), &ReplaceSettings { order, ..settings() }, &staging, &Unattended).unwrap();
-        assert!(shares.cube_maps > 0.05, "{shares:?}");
+        assert!(shares.cube_maps > 0.01, "{shares:?}");
         let made = pages(&publish(staging, &parameters));
         assert_eq!(blue(&made), 0, "of {} texels", made.0.iter().map(|p| p.to_f32().len() / 4).sum::<usize>());
         let lit = made.0.iter().flat_map(|page| page.to_f32()).collect::<Vec<_>>().chunks(4).filter(|t| t[0] > 0.1).count();
@@ -200,7 +200,7 @@ fn what_is_made_says_out_of_what_and_is_infinitely_far_where_nothing_is() {
         assert!((0.09..0.12).contains(&nearest), "cube {cube}: {nearest}");
     }
     let sum = shares.object + shares.environment + shares.cube_maps + shares.baseline + shares.background + shares.unknown;
-    assert!((sum - 1.0).abs() < 1e-9 && shares.object > 0.3 && shares.environment > 0.2 && shares.unknown == 0.0, "{shares:?}");
+    assert!((sum - 1.0).abs() < 1e-9 && shares.object > 0.2 && shares.environment > 0.2 && shares.unknown == 0.0, "{shares:?}");
 }
 
 #[test]
