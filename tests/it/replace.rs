@@ -53,7 +53,7 @@ fn another_object_in_captured_light_is_a_dataset_that_renders_and_names_what_it_
     assert_eq!(parameters["face_size_texels"], 16);
     let shares = summary["replacing"]["shares"].as_object().unwrap();
     let sum: f64 = shares.values().map(|share| share.as_f64().unwrap()).sum();
-    assert!((sum - 1.0).abs() < 1e-9 && shares["cube_maps"].as_f64().unwrap() > 0.02, "{shares:?}");
+    assert!((sum - 1.0).abs() < 1e-9 && shares["background"].as_f64().unwrap() > 0.02, "{shares:?}");
     let said = server.succeed(&["job", "get", job["name"].as_str().unwrap()]);
     assert!(said.contains("light of box version 1: ") && said.contains("cube maps "), "{said}");
 

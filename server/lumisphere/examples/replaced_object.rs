@@ -19,7 +19,7 @@ use lumisphere::progress::Unattended;
 use lumisphere::raytrace::TraceSettings;
 use lumisphere::render::Renderer;
 use lumisphere::representations::offset_surface_light_field::{
-    Blend, Component, ConstructSettings, Filter, NEAREST_FIRST, OffsetSurfaceLightField, Parameters, Placement, ReplaceSettings, Settings,
+    BAKED_FIRST, Blend, Component, ConstructSettings, Filter, OffsetSurfaceLightField, Parameters, Placement, ReplaceSettings, Settings,
     Spacing, Surrounding, build_sample_maps, construct, from_parts, replace,
 };
 use lumisphere::representations::{CachedPages, FrameRequest, Outputs, Refine, RenderError, Representation, Settings as AnySettings};
@@ -74,11 +74,11 @@ fn main() {
             parameters
         })
     };
-    let mut made: Vec<Stored> = (0..RUNS).map(|run| put(&format!("replaced-{run}"), NEAREST_FIRST)).collect();
+    let mut made: Vec<Stored> = (0..RUNS).map(|run| put(&format!("replaced-{run}"), BAKED_FIRST)).collect();
     made.sort_by(|a, b| a.seconds.total_cmp(&b.seconds));
     let replaced = made.swap_remove(RUNS / 2);
     use Surrounding::{Background, Baseline, CubeMaps};
-    let orders = [[Baseline, CubeMaps, Background], [Background, CubeMaps, Baseline]];
+    let orders = [[Baseline, CubeMaps, Background], [CubeMaps, Baseline, Background]];
     let others: Vec<Stored> =
         orders.iter().map(|order| put(&format!("order-{}", order.map(|s| format!("{s:?}")).join("-").to_lowercase()), *order)).collect();
 

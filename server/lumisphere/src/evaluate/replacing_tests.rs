@@ -67,7 +67,7 @@ fn replaced(light: &Stored) -> (Stored, Shares) {
             pixel_format: PixelFormat::F16,
             codec: Codec::DEFAULT,
             rays_per_texel: 16,
-            order: oslf::NEAREST_FIRST,
+            order: oslf::BAKED_FIRST,
             scene_bytes: u64::MAX,
         };
         let (parameters, told) =
@@ -126,7 +126,7 @@ fn errors(frames: &[(&Stored, Settings)]) -> Vec<[f64; 2]> {
     let plan = Plan {
         object: "vase".into(),
         cameras: truth.cameras.iter().map(|c| c.camera).collect(),
-        settings: frames.iter().map(|(_, settings)| settings.clone()).collect(),
+        settings: frames.iter().map(|(_, settings)| *settings).collect(),
         mirror_truths: vec![Truth::OneReflection],
         trace: TraceSettings { samples_per_pixel: 256, max_bounces: 3, seed: 9 },
         timed_frames: 1,

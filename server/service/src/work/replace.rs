@@ -1,6 +1,6 @@
 //! Dataset version to that of another object in the same light.
 
-use lumisphere::representations::offset_surface_light_field::{NEAREST_FIRST, Parameters, ReplaceSettings, Shares, replace};
+use lumisphere::representations::offset_surface_light_field::{BAKED_FIRST, Parameters, ReplaceSettings, Shares, replace};
 use lumisphere::representations::{Kind, PageSource};
 use lumisphere::textures::{PageId, Publication, Staging};
 
@@ -54,7 +54,7 @@ impl Work {
             },
             codec: spec.codec,
             rays_per_texel: spec.rays_per_texel,
-            order: NEAREST_FIRST,
+            order: BAKED_FIRST,
             scene_bytes: self.scene_bytes,
         };
         let (parameters, shares) = replace((field, &version.pages), &scene, &settings, staging, attempt)?;

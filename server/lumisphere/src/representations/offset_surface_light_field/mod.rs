@@ -60,7 +60,7 @@ use crate::textures::{ContentHash, PageId, PageShape};
 pub use construct::{ConstructError, ConstructSettings, construct};
 #[cfg(all(test, feature = "gpu"))]
 pub(crate) use kernel::SOURCE as KERNEL_SOURCE;
-pub use replacing::{NEAREST_FIRST, Placement, ReplaceError, ReplaceSettings, Shares, Surrounding, replace};
+pub use replacing::{BAKED_FIRST, Placement, ReplaceError, ReplaceSettings, Shares, Surrounding, replace};
 pub use sample_points::{PlacementError, Spacing, build_sample_maps, place_sample_points};
 pub use storage::{from_parts, to_parts};
 pub use thinning::{Kept, PixelError, Thinning, ThinningError, ValidationPixel, ValidationView, copy_pages};

@@ -42,8 +42,9 @@ use stage::{Stage, unlit};
 pub use surroundings::Surrounding;
 use surroundings::{LightReader, Source, Surroundings};
 
-/// The order in which surroundings are looked up that shows them best (docs/measurements.md, "Another object in the same light").
-pub const NEAREST_FIRST: [Surrounding; 3] = [Surrounding::CubeMaps, Surrounding::Baseline, Surrounding::Background];
+/// The order in which surroundings are looked up that shows them best (docs/measurements.md, "Another object in the same light"): what is diffuse as it
+/// is baked, under its own texture; anything else as a cube map saw it.
+pub const BAKED_FIRST: [Surrounding; 3] = [Surrounding::Background, Surrounding::CubeMaps, Surrounding::Baseline];
 
 /// Of the new baseline: the old one's light is that without any object.
 const BASELINE_FIRST: [Surrounding; 3] = [Surrounding::Baseline, Surrounding::CubeMaps, Surrounding::Background];
@@ -78,7 +79,7 @@ pub struct ReplaceSettings {
     pub codec: Codec,
     /// Rays per texel, made a square number: 1 to 1024.
     pub rays_per_texel: u32,
-    /// Where surroundings are looked up first; [`NEAREST_FIRST`].
+    /// Where surroundings are looked up first; [`BAKED_FIRST`].
     pub order: [Surrounding; 3],
     /// Bytes that the new object and its surroundings may take while rays are traced.
     pub scene_bytes: u64,

@@ -70,6 +70,9 @@ pub(super) fn unlit(mesh: &TriangleMesh, albedo: Albedo, radius: f32) -> Backgro
     BackgroundSurface { mesh, irradiance, albedo: Some(albedo), emission: Vec3::ZERO }
 }
 
+/// Irradiance on both sides of a vertex, given by its number.
+type OfVertex<'a> = &'a (dyn Fn(&Stage, usize, &mut LightReader<'_>) -> Result<[Vec3; 2], RenderError> + Sync);
+
 impl Stage {
     /// Without any object: it is one triangle of nothing's.
     pub fn empty(background: &Background, mesh: &TriangleMesh) -> Self {
@@ -166,7 +169,7 @@ impl Stage {
         &self,
         mesh: &TriangleMesh,
         surroundings: &Surroundings<'_>,
-        of_vertex: &(dyn Fn(&Self, usize, &mut LightReader<'_>) -> Result<[Vec3; 2], RenderError> + Sync),
+        of_vertex: OfVertex<'_>,
         stage: &str,
         progress: &dyn Progress,
     ) -> Result<Vec<[Vec3; 2]>, ReplaceError> {
