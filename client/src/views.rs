@@ -408,6 +408,7 @@ impl From<wire::Job> for Job {
             Some(wire::job_spec::Spec::Observe(s)) => ("observe", s.dataset),
             Some(wire::job_spec::Spec::Fit(s)) => ("fit", s.dataset),
             Some(wire::job_spec::Spec::Suggest(s)) => ("suggest", s.dataset),
+            Some(wire::job_spec::Spec::Replace(s)) => ("replace", s.dataset),
             None => ("unknown", String::new()),
         };
         Self {

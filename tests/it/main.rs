@@ -33,6 +33,7 @@ mod process;
 mod python;
 mod reflections;
 mod relay;
+mod replace;
 mod rules;
 mod sessions;
 mod stills;

@@ -85,6 +85,8 @@ pub enum Submit {
     Suggest(SuggestArguments),
     /// Leave out of a dataset what an error bound can do without, and publish the rest as a dataset of its own
     Thin(Box<ThinArguments>),
+    /// Put another object where one was captured, into the light that a dataset holds, and publish its light field as a dataset of its own
+    Replace(Box<ReplaceArguments>),
 }
 
 /// Flags of every submission.
@@ -245,6 +247,61 @@ pub struct ThinArguments {
     /// Of the windows and their truth
     #[arg(long, default_value_t = 0)]
     seed: u64,
+    /// Of stored pages
+    #[arg(long, value_name = "CODEC", default_value_t = Codec::DEFAULT)]
+    codec: Codec,
+    #[command(flatten)]
+    submit: SubmitFlags,
+}
+
+/// Flags of `submit replace`; what is not given is the dataset's.
+#[derive(Debug, Args)]
+pub struct ReplaceArguments {
+    /// Dataset whose light is used
+    #[arg(long, value_name = "NAME")]
+    dataset: String,
+    /// Which version [default: the latest]
+    #[arg(long, default_value_t = 0, hide_default_value = true)]
+    version: u64,
+    /// Dataset to add the new object's version to; created when there is none
+    #[arg(long, value_name = "NAME")]
+    into: String,
+    /// Where the new object is: a scene that ships with the server, or a file; nothing but the object's mesh and albedo is used
+    #[arg(long, value_name = "FILE|NAME")]
+    scene: String,
+    /// Which object of the scene; it must be diffuse and fit where the old one and its sample points are
+    #[arg(long, value_name = "NAME")]
+    object: String,
+    /// Put the middle of its underside there [default: where its scene has it]
+    #[arg(long, value_name = "X,Y,Z", value_parser = parse_vec3, allow_hyphen_values = true)]
+    stand_at: Option<[f32; 3]>,
+    /// Turn it about +Y
+    #[arg(long, value_name = "DEGREES", default_value_t = 0.0, allow_negative_numbers = true)]
+    turn_deg: f32,
+    /// Grow or shrink it
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
+    scale: f32,
+    /// How far sample points are off the surface, scene units [default: half the distance between neighbours]
+    #[arg(long, value_name = "LENGTH")]
+    epsilon: Option<f32>,
+    /// Distance between neighbouring sample points, scene units
+    #[arg(long, value_name = "LENGTH", conflicts_with = "points")]
+    spacing: Option<f32>,
+    /// About how many sample points, 4 to 65534
+    #[arg(long, value_name = "N")]
+    points: Option<u32>,
+    /// Texels along a cube-map face's edge: 16 to 1024, a multiple of 16
+    #[arg(long, value_name = "N")]
+    face_size_texels: Option<u32>,
+    /// Rays per texel, made a square number, 1 to 1024 [default: 16]
+    #[arg(long, value_name = "N")]
+    rays_per_texel: Option<u32>,
+    /// Texels along the edge of a sample map, 16 to 1024
+    #[arg(long, value_name = "N")]
+    sample_map_size_texels: Option<u32>,
+    /// Of stored pages
+    #[arg(long, value_enum)]
+    pixel_format: Option<PixelFormat>,
     /// Of stored pages
     #[arg(long, value_name = "CODEC", default_value_t = Codec::DEFAULT)]
     codec: Codec,
@@ -445,6 +502,7 @@ pub async fn run(command: Command, context: &Context) -> anyhow::Result<()> {
         }
         Command::Submit(Submit::PathRender(arguments)) => submit_path_render(context, &arguments).await,
         Command::Submit(Submit::Thin(arguments)) => submit_thin(context, &arguments).await,
+        Command::Submit(Submit::Replace(arguments)) => submit_replace(context, &arguments).await,
         Command::Submit(Submit::Observe(arguments)) => submit_observe(context, &arguments).await,
         Command::Submit(Submit::Import(arguments)) => submit_import(context, &arguments).await,
         Command::Submit(Submit::Fit(arguments)) => submit_fit(context, &arguments).await,
@@ -535,6 +593,36 @@ async fn submit_thin(context: &Context, arguments: &ThinArguments) -> anyhow::Re
         codec: codec_message(arguments.codec).into(),
     };
     submit_and_tell(context, &server, Spec::Thin(spec), &arguments.submit).await
+}
+
+async fn submit_replace(context: &Context, arguments: &ReplaceArguments) -> anyhow::Result<()> {
+    let above_zero = |value: f32, flag: &str| match value > 0.0 {
+        true => Ok(value),
+        false => Err(Failure::Usage(format!("--{flag} is {value}, above 0 expected"))),
+    };
+    let scale = above_zero(arguments.scale, "scale")?;
+    let offset = arguments.epsilon.map(|epsilon| above_zero(epsilon, "epsilon")).transpose()?;
+    let server = context.connect().await?;
+    let scene = scene_source::to_wire(context, &mut server.datasets(), &SceneFlags::plain(&arguments.scene)).await?;
+    let spacing = arguments.spacing.map(wire::replace_spec::Density::Spacing);
+    let points = arguments.points.map(wire::replace_spec::Density::SamplePoints);
+    let stand_at = arguments.stand_at.map(|[x, y, z]| wire::Vector3 { x, y, z });
+    let spec = wire::ReplaceSpec {
+        dataset: arguments.dataset.clone(),
+        version: arguments.version,
+        into: arguments.into.clone(),
+        scene: Some(scene),
+        object: arguments.object.clone(),
+        placement: Some(wire::ObjectPlacement { stand_at, turn_deg: arguments.turn_deg, scale }),
+        offset: offset.unwrap_or(0.0),
+        density: spacing.or(points),
+        face_size_texels: given(arguments.face_size_texels, "face-size-texels")?,
+        rays_per_texel: given(arguments.rays_per_texel, "rays-per-texel")?,
+        sample_map_size_texels: given(arguments.sample_map_size_texels, "sample-map-size-texels")?,
+        pixel_format: arguments.pixel_format.map_or(wire::PixelFormat::Unspecified, PixelFormat::to_wire).into(),
+        codec: codec_message(arguments.codec).into(),
+    };
+    submit_and_tell(context, &server, Spec::Replace(spec), &arguments.submit).await
 }
 
 async fn submit_observe(context: &Context, arguments: &ObserveArguments) -> anyhow::Result<()> {

@@ -11,7 +11,7 @@ use lumisphere::evaluate::{EvaluateError, ThinError};
 use lumisphere::progress::Cancelled;
 use lumisphere::raytrace::TraceError;
 use lumisphere::render::RenderError;
-use lumisphere::representations::offset_surface_light_field::{ConstructError, ThinningError};
+use lumisphere::representations::offset_surface_light_field::{ConstructError, ReplaceError, ThinningError};
 use lumisphere::representations::parameter_map::{FitError, SuggestError};
 use lumisphere::scenes::SceneError;
 use lumisphere::textures::StoreError;
@@ -209,15 +209,33 @@ impl From<TraceError> for ApiError {
 
 impl From<ConstructError> for ApiError {
     fn from(error: ConstructError) -> Self {
+        of_construction(error, "spec.capture")
+    }
+}
+
+fn of_construction(error: ConstructError, spec: &str) -> ApiError {
+    match error {
+        ConstructError::UnknownObject { .. } => ApiError::field(format!("{spec}.object"), error),
+        ConstructError::Setting { setting, .. } => ApiError::field(format!("{spec}.{setting}"), error),
+        ConstructError::Placement(error) => ApiError::field(format!("{spec}.density"), error),
+        ConstructError::AllInside(_) => ApiError::field(format!("{spec}.offset"), error),
+        ConstructError::Trace(error) => error.into(),
+        ConstructError::Cancelled(error) => error.into(),
+        ConstructError::Store(error) => error.into(),
+        ConstructError::Parts(error) => ApiError::internal(error),
+    }
+}
+
+impl From<ReplaceError> for ApiError {
+    fn from(error: ReplaceError) -> Self {
         match error {
-            ConstructError::UnknownObject { .. } => Self::field("spec.capture.object", error),
-            ConstructError::Setting { setting, .. } => Self::field(format!("spec.capture.{setting}"), error),
-            ConstructError::Placement(error) => Self::field("spec.capture.density", error),
-            ConstructError::AllInside(_) => Self::field("spec.capture.offset", error),
-            ConstructError::Trace(error) => error.into(),
-            ConstructError::Cancelled(error) => error.into(),
-            ConstructError::Store(error) => error.into(),
-            ConstructError::Parts(error) => Self::internal(error),
+            ReplaceError::NotDiffuse { .. } => Self::field("spec.replace.object", error),
+            ReplaceError::Outside { .. } | ReplaceError::Placement { .. } => Self::field("spec.replace.placement", error),
+            ReplaceError::TooLarge { bytes, limit_bytes } => {
+                Self::new(Reason::SceneTooLarge, error.to_string()).with("bytes", bytes).with("limit_bytes", limit_bytes)
+            }
+            ReplaceError::Construct(error) => of_construction(error, "spec.replace"),
+            ReplaceError::Render(error) => error.into(),
         }
     }
 }

@@ -1,4 +1,4 @@
-//! What jobs do: capture, observe, fit, suggest, evaluate, render a path, thin.
+//! What jobs do: capture, observe, fit, suggest, evaluate, render a path, thin, replace.
 
 mod capture;
 mod evaluate;
@@ -6,6 +6,7 @@ mod fit;
 mod observe;
 mod path_render;
 mod publishing;
+mod replace;
 mod suggest;
 mod thin;
 mod views;
@@ -58,6 +59,7 @@ impl JobBody for Work {
             JobSpec::Observe(spec) => self.observe(&spec, attempt),
             JobSpec::Fit(spec) => self.fit(&spec, attempt),
             JobSpec::Suggest(spec) => self.suggest(&spec, attempt),
+            JobSpec::Replace(spec) => self.replace(&spec, attempt),
         }
     }
 

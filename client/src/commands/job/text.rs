@@ -33,6 +33,9 @@ pub fn job_text(job: &views::Job) -> String {
         if let Some(saved) = result.summary.get("thinning") {
             text.push_str(&format!("\n{}", thinned_text(saved, &result.summary)));
         }
+        if let Some(replacing) = result.summary.get("replacing") {
+            text.push_str(&format!("\n{}", replaced_text(replacing)));
+        }
         for blob in &result.blobs {
             text.push_str(&format!("\n{}  {}", blob.name, bytes_text(blob.size_bytes)));
         }
@@ -97,6 +100,19 @@ fn shifted_text(registration: &Value) -> String {
     let one = |s: &Value| format!("{} by {}, {} texels", s["observation"], s["texels"][0], s["texels"][1]);
     let worst = registration["worst"].as_array().into_iter().flatten().map(one).collect::<Vec<_>>().join("; ");
     format!("\nmisregistered: {} of {} photographs lie beside the others ({worst})", registration["shifted"], registration["compared"])
+}
+
+/// Where the light of the new cube maps came from.
+fn replaced_text(replacing: &Value) -> String {
+    let shares = replacing["shares"].as_object().into_iter().flatten();
+    let share =
+        |(name, share): (&String, &Value)| format!("{} {:.1} %", name.replace('_', " "), 100.0 * share.as_f64().unwrap_or(f64::NAN));
+    format!(
+        "light of {} version {}: {}",
+        replacing["dataset"].as_str().unwrap_or("?"),
+        replacing["version"],
+        shares.map(share).collect::<Vec<_>>().join(", ")
+    )
 }
 
 /// What thinning left out, and what that did to the error.

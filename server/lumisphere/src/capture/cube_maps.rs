@@ -33,50 +33,60 @@ pub enum CaptureError {
 // Cube maps traced side by side: enough to keep the threads busy while one is encoded, few enough to lose little when killed.
 const BATCH: usize = 8;
 
-/// Traces viewpoint k of n into pages 6·k … 6·k + 5: R, G, B (mean over the texel) and distance, `face_size` texels an edge; and into
-/// page 6·n + (l − 1)·n + k its faces of each coarser level l = 1 … [`coarser_levels`], below each other: R, G, B and the share of the texel
-/// through which light comes from infinity.
-///
-/// Pages that `staging` holds already are not traced again. Each cube map has its own seed, derived from `settings.seed` and k, and
-/// pages are appended in order: the same job gives the same bytes for any number of threads, interrupted or not.
+/// Traces viewpoint k of n into the pages of cube map k, as [`store_cube_maps`] has them. Each cube map has its own seed, derived from
+/// `settings.seed` and k.
 pub fn trace_cube_maps(
     viewpoints: &[Viewpoint<'_>],
     face_size: u32,
-    (codec, pixel): (Codec, PixelFormat),
+    format: (Codec, PixelFormat),
     settings: &TraceSettings,
     staging: &Staging,
     progress: &dyn Progress,
 ) -> Result<(), CaptureError> {
+    let trace = |k: usize| {
+        let seeded = TraceSettings { seed: settings.seed.wrapping_add((k as u64 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15)), ..*settings };
+        let Viewpoint { tracer, position } = viewpoints[k];
+        Ok(tracer.cube_map(position, face_size as usize, &seeded, &Silent(progress))?)
+    };
+    store_cube_maps(viewpoints.len(), face_size, format, &trace, staging, ("tracing cube maps", progress))
+}
+
+/// Stores what `make` gives for k of `count` in pages 6·k … 6·k + 5: R, G, B (mean over the texel) and distance, `face_size` texels an edge; and
+/// in page 6·count + (l − 1)·count + k its faces of each coarser level l = 1 … [`coarser_levels`], below each other: R, G, B and the share of the
+/// texel through which light comes from infinity.
+///
+/// Pages that `staging` holds already are not made again, and pages are appended in order: where `make` gives the same for the same k, the same job
+/// gives the same bytes for any number of threads, interrupted or not. `stage` is what progress is told of.
+pub fn store_cube_maps<E: From<CaptureError> + Send>(
+    count: usize,
+    face_size: u32,
+    (codec, pixel): (Codec, PixelFormat),
+    make: &(dyn Fn(usize) -> Result<CubeMap, E> + Sync),
+    staging: &Staging,
+    (stage, progress): (&str, &dyn Progress),
+) -> Result<(), E> {
     let shape = PageShape { width: face_size, height: face_size, channels: 4, pixel };
     let levels = coarser_levels(face_size) as usize;
     let present = staging.pages_present();
     // Of a cube map's pages in order: its faces, then its levels.
     let page = |k: usize, part: usize| match part.checked_sub(FACES) {
         None => PageId((FACES * k + part) as u32),
-        Some(level) => PageId(((FACES + level) * viewpoints.len() + k) as u32),
+        Some(level) => PageId(((FACES + level) * count + k) as u32),
     };
-    let missing: Vec<usize> = (0..viewpoints.len()).filter(|k| (0..FACES + levels).any(|p| !present.contains(&page(*k, p)))).collect();
-    let mut done = viewpoints.len() - missing.len();
+    let missing: Vec<usize> = (0..count).filter(|k| (0..FACES + levels).any(|p| !present.contains(&page(*k, p)))).collect();
+    let mut done = count - missing.len();
     for batch in missing.chunks(BATCH) {
-        progress.report("tracing cube maps", done as u64, viewpoints.len() as u64);
-        let traced: Result<Vec<Vec<EncodedPage>>, CaptureError> = batch
-            .par_iter()
-            .map(|k| {
-                let seeded =
-                    TraceSettings { seed: settings.seed.wrapping_add((*k as u64 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15)), ..*settings };
-                let Viewpoint { tracer, position } = viewpoints[*k];
-                let map = tracer.cube_map(position, face_size as usize, &seeded, &Silent(progress))?;
-                encode_cube_map(&map, codec, shape, levels)
-            })
-            .collect();
-        for (k, parts) in batch.iter().zip(traced?) {
+        progress.report(stage, done as u64, count as u64);
+        let made: Result<Vec<Vec<EncodedPage>>, E> =
+            batch.par_iter().map(|k| Ok(encode_cube_map(&make(*k)?, codec, shape, levels)?)).collect();
+        for (k, parts) in batch.iter().zip(made?) {
             for (part, encoded) in parts.iter().enumerate().filter(|(p, _)| !present.contains(&page(*k, *p))) {
-                staging.append_encoded(page(*k, part), encoded)?;
+                staging.append_encoded(page(*k, part), encoded).map_err(CaptureError::from)?;
             }
         }
         done += batch.len();
     }
-    progress.report("tracing cube maps", done as u64, viewpoints.len() as u64);
+    progress.report(stage, done as u64, count as u64);
     Ok(())
 }
 

@@ -15,7 +15,7 @@ mod response_curve;
 mod surface;
 
 pub use background::{Background, BackgroundSurface, bake_background};
-pub use cube_maps::{CaptureError, Viewpoint, trace_cube_maps};
+pub use cube_maps::{CaptureError, Viewpoint, store_cube_maps, trace_cube_maps};
 pub use levels::{coarser_levels, halved, halved_distances, inverse_distance, sky_share, stacked, with_sky_shares};
 pub use merge::{MergeError, Merged, Validity, merge, merge_linear};
 pub use parts::PartsError;

@@ -11,6 +11,8 @@ mod metric;
 pub mod pareto;
 #[cfg(test)]
 mod relighting_tests;
+#[cfg(test)]
+mod replacing_tests;
 mod report;
 mod row;
 #[cfg(test)]

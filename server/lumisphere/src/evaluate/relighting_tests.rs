@@ -15,9 +15,9 @@ use crate::render::Renderer;
 use crate::representations::offset_surface_light_field as oslf;
 use crate::representations::{FrameRequest, Outputs, Refine, RenderError, Representation};
 use crate::scenes::{Environment, EnvironmentMap, LoadOptions, PointLight, SceneBundle, load};
-use crate::textures::{Codec, Page, PageId, PixelFormat, Publication, Store, StoreOptions};
+use crate::textures::{Codec, Page, PageId, PixelFormat, Publication, Staging, Store, StoreOptions};
 use oslf::tests::fixture::MemoryPages;
-use oslf::{Blend, Component, ConstructSettings, Filter, Gloss, OffsetSurfaceLightField, Spacing, construct, from_parts};
+use oslf::{Blend, Component, ConstructSettings, Filter, Gloss, OffsetSurfaceLightField, Parameters, Spacing, construct, from_parts};
 
 fn scene() -> Scene {
     let json = br#"{"format": "neutral-scene/1",
@@ -38,7 +38,7 @@ fn scene() -> Scene {
 }
 
 // Blue above, dim below, a warm window 50° wide toward −Z and a small cold one toward +X.
-fn sky() -> Image {
+pub(super) fn sky() -> Image {
     let mut image = Image::zeros(128, 64, 3);
     for at in 0..128 * 64 {
         let d = direction_from_lat_long(Vec2::new((at % 128) as f32 + 0.5, 2.0 * (at / 128) as f32 + 1.0) / 128.0);
@@ -50,6 +50,7 @@ fn sky() -> Image {
     image
 }
 
+#[derive(Clone)]
 pub(super) struct Stored {
     pub field: Arc<dyn Representation>,
     pub pages: MemoryPages,
@@ -66,10 +67,6 @@ fn fixture() -> &'static (Scene, Stored) {
 
 /// Of 32² faces, in memory.
 pub(super) fn captured(scene: &Scene, object: &str, points: u32, epsilon: Option<f32>) -> Stored {
-    let root = tempfile::tempdir().unwrap();
-    let (store, _) = Store::open(root.path(), StoreOptions::local()).unwrap();
-    store.create_dataset("ball").unwrap();
-    let staging = store.stage("ball", "test").unwrap();
     let settings = ConstructSettings {
         object: object.into(),
         epsilon,
@@ -83,7 +80,16 @@ pub(super) fn captured(scene: &Scene, object: &str, points: u32, epsilon: Option
         seed: 5,
         original: Original::Diffuse,
     };
-    let parameters = construct(scene, &settings, &staging, &Unattended).unwrap();
+    stored(|staging| construct(scene, &settings, staging, &Unattended).unwrap())
+}
+
+/// What `fill` fills, in memory.
+pub(super) fn stored(fill: impl FnOnce(&Staging) -> Parameters) -> Stored {
+    let root = tempfile::tempdir().unwrap();
+    let (store, _) = Store::open(root.path(), StoreOptions::local()).unwrap();
+    store.create_dataset("ball").unwrap();
+    let staging = store.stage("ball", "test").unwrap();
+    let parameters = fill(&staging);
     let publication = Publication {
         kind: "offset_surface_light_field".into(),
         parameters: serde_json::to_value(&parameters).unwrap(),

@@ -206,7 +206,7 @@ impl Drop for CountingReader<'_> {
 
 /// All of a dataset's pages in memory.
 #[cfg(test)]
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(crate) struct MemoryPages(pub Vec<Arc<Page>>);
 
 #[cfg(test)]

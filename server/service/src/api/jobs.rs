@@ -75,6 +75,7 @@ fn submit(app: &App, message: Option<proto::JobSpec>, id: String) -> Result<JobV
         let expected = match spec {
             JobSpec::Fit(_) => Some(OBSERVATION_MAP),
             JobSpec::Suggest(_) => Some(Kind::ParameterMap.name()),
+            JobSpec::Replace(_) => Some(Kind::OffsetSurfaceLightField.name()),
             _ => None,
         };
         if let Some(expected) = expected.filter(|kind| *kind != manifest.kind) {
@@ -95,6 +96,10 @@ fn submit(app: &App, message: Option<proto::JobSpec>, id: String) -> Result<JobV
         JobSpec::Fit(fit) if fit.backend == Backend::Gpu && app.adapter.is_none() => return Err(no_adapter_to_fit_on()),
         JobSpec::Fit(fit) => Some(fit.dataset.clone()),
         JobSpec::Thin(thin) => Some(thin.into.clone()),
+        JobSpec::Replace(replace) => {
+            check_blobs(app, replace.scene.blobs(), "the scene")?;
+            Some(replace.into.clone())
+        }
         JobSpec::Evaluate(_) | JobSpec::PathRender(_) | JobSpec::Suggest(_) => None,
     };
     let asked = digest(&message);

@@ -9,7 +9,7 @@ use lumisphere::fitting::{Outliers, Precision};
 use lumisphere::geometry::Camera;
 use lumisphere::render::Backend;
 use lumisphere::representations::Original;
-use lumisphere::representations::offset_surface_light_field::Spacing;
+use lumisphere::representations::offset_surface_light_field::{Placement, Spacing};
 use lumisphere::representations::parameter_map::{self, AllowedModels, MOST_CANDIDATES, MOST_SUGGESTIONS, SuggestSettings};
 use lumisphere::textures::{Codec, ContentHash, PixelFormat};
 use prost::Message;
@@ -55,6 +55,8 @@ pub enum JobSpec {
     Fit(FitSpec),
     /// Parameter map to directions.
     Suggest(SuggestSpec),
+    /// Dataset version to that of another object in the same light.
+    Replace(Box<ReplaceSpec>),
 }
 
 /// Scene to dataset version.
@@ -190,6 +192,37 @@ pub struct ThinSpec {
     pub codec: Codec,
 }
 
+/// Dataset version to that of another object in the same light. What is None is the dataset's.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ReplaceSpec {
+    /// Which.
+    pub dataset: String,
+    /// 0: the latest.
+    pub version: u64,
+    /// Where the new object's goes.
+    pub into: String,
+    /// The new object's.
+    pub scene: SceneSource,
+    /// Which of its objects.
+    pub object: String,
+    /// Where it stands.
+    pub placement: Placement,
+    /// Off the surface, scene units; None: half the distance between neighbours.
+    pub epsilon: Option<f32>,
+    /// How far apart sample points lie.
+    pub spacing: Option<Spacing>,
+    /// Along a face's edge.
+    pub face_size_texels: Option<u32>,
+    /// Rays.
+    pub rays_per_texel: u32,
+    /// Along a sample map's edge.
+    pub sample_map_size_texels: Option<u32>,
+    /// Of stored pages.
+    pub pixel_format: Option<PixelFormat>,
+    /// Of the cube maps' pages.
+    pub codec: Codec,
+}
+
 /// Scene or photographs to observation map.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ObserveSpec {
@@ -302,7 +335,7 @@ pub struct SpecLimits {
 }
 
 impl JobSpec {
-    /// "capture", "evaluate", "path_render", "thin", "observe", "fit" or "suggest".
+    /// "capture", "evaluate", "path_render", "thin", "observe", "fit", "suggest" or "replace".
     pub fn kind(&self) -> &'static str {
         match self {
             Self::Capture(_) => "capture",
@@ -312,6 +345,7 @@ impl JobSpec {
             Self::Observe(_) => "observe",
             Self::Fit(_) => "fit",
             Self::Suggest(_) => "suggest",
+            Self::Replace(_) => "replace",
         }
     }
 
@@ -324,13 +358,14 @@ impl JobSpec {
             Self::PathRender(p) => Some((&p.dataset, p.version)),
             Self::Thin(t) => Some((&t.dataset, t.version)),
             Self::Suggest(s) => Some((&s.dataset, s.version)),
+            Self::Replace(r) => Some((&r.dataset, r.version)),
         }
     }
 
     /// The settings that it renders with.
     pub fn settings(&self) -> &[RenderSettings] {
         match self {
-            Self::Capture(_) | Self::Observe(_) | Self::Fit(_) | Self::Suggest(_) => &[],
+            Self::Capture(_) | Self::Observe(_) | Self::Fit(_) | Self::Suggest(_) | Self::Replace(_) => &[],
             Self::Evaluate(e) => &e.settings,
             Self::PathRender(p) => std::slice::from_ref(&p.settings),
             Self::Thin(t) => std::slice::from_ref(&t.settings),
@@ -354,6 +389,7 @@ pub fn job_spec(message: Option<proto::JobSpec>, limits: &SpecLimits) -> Result<
         Spec::Observe(m) => JobSpec::Observe(Box::new(observe(m, "spec.observe")?)),
         Spec::Fit(m) => JobSpec::Fit(fit(m, "spec.fit")?),
         Spec::Suggest(m) => JobSpec::Suggest(suggest(m, "spec.suggest")?),
+        Spec::Replace(m) => JobSpec::Replace(Box::new(replace(m, "spec.replace")?)),
     })
 }
 
@@ -371,6 +407,7 @@ pub fn remembered(mut message: proto::JobSpec, version: Option<u64>) -> Vec<u8> 
         (Some(Spec::Thin(m)), Some(version)) => m.version = version,
         (Some(Spec::Fit(m)), Some(version)) => m.version = version,
         (Some(Spec::Suggest(m)), Some(version)) => m.version = version,
+        (Some(Spec::Replace(m)), Some(version)) => m.version = version,
         (Some(Spec::Capture(_) | Spec::Observe(_)) | None, _) | (_, None) => {}
     }
     message.encode_to_vec()
@@ -398,13 +435,9 @@ fn capture(m: proto::CaptureSpec, field: &str) -> Result<CaptureSpec, ApiError> 
     let spacing = match m.density {
         None => Spacing::Count(1000),
         Some(Density::Spacing(distance)) => Spacing::Distance(positive(distance, &at("spacing"))?),
-        Some(Density::SamplePoints(0)) => return Err(ApiError::field(at("sample_points"), "0, 4 to 65534 expected")),
-        Some(Density::SamplePoints(points)) => Spacing::Count(count(points, 0, 4, 65_534, &at("sample_points"))?),
+        Some(Density::SamplePoints(points)) => points_asked(points, &at("sample_points"))?,
     };
-    let face_size_texels = count(m.face_size_texels, 128, 16, 1024, &at("face_size_texels"))?;
-    if face_size_texels % 16 != 0 {
-        return Err(ApiError::field(at("face_size_texels"), format!("{face_size_texels}, a multiple of 16 expected")));
-    }
+    let face_size_texels = face_size(m.face_size_texels, 128, &at("face_size_texels"))?;
     let pixel_format = pixel_format(m.pixel_format, PixelFormat::F16, &at("pixel_format"))?;
     let codec = codec(m.codec, Codec::DEFAULT, &at("codec"))?;
     Ok(CaptureSpec {
@@ -431,6 +464,64 @@ fn original(value: i32, field: &str) -> Result<Original, ApiError> {
         Ok(proto::Original::AsAuthored) => Ok(Original::AsAuthored),
         Err(_) => Err(ApiError::field(field, format!("{value}, DIFFUSE or AS_AUTHORED expected"))),
     }
+}
+
+fn points_asked(points: u32, field: &str) -> Result<Spacing, ApiError> {
+    match points {
+        0 => Err(ApiError::field(field, "0, 4 to 65534 expected")),
+        points => Ok(Spacing::Count(count(points, 0, 4, 65_534, field)?)),
+    }
+}
+
+fn face_size(texels: u32, default: u32, field: &str) -> Result<u32, ApiError> {
+    let texels = count(texels, default, 16, 1024, field)?;
+    if texels % 16 == 0 { Ok(texels) } else { Err(ApiError::field(field, format!("{texels}, a multiple of 16 expected"))) }
+}
+
+fn replace(m: proto::ReplaceSpec, field: &str) -> Result<ReplaceSpec, ApiError> {
+    use proto::replace_spec::Density;
+    let at = |name: &str| format!("{field}.{name}");
+    if m.object.is_empty() {
+        return Err(ApiError::field(at("object"), "missing"));
+    }
+    let spacing = match m.density {
+        None => None,
+        Some(Density::Spacing(distance)) => Some(Spacing::Distance(positive(distance, &at("spacing"))?)),
+        Some(Density::SamplePoints(points)) => Some(points_asked(points, &at("sample_points"))?),
+    };
+    let given = |value: u32| (value != 0).then_some(value);
+    let face_size_texels = given(m.face_size_texels).map(|texels| face_size(texels, 0, &at("face_size_texels"))).transpose()?;
+    let map_field = at("sample_map_size_texels");
+    Ok(ReplaceSpec {
+        dataset: dataset_name(&m.dataset, &at("dataset"))?,
+        version: m.version,
+        into: dataset_name(&m.into, &at("into"))?,
+        scene: scene_source(m.scene, &at("scene"))?,
+        object: m.object,
+        placement: placement(m.placement.unwrap_or_default(), &at("placement"))?,
+        epsilon: if m.offset == 0.0 { None } else { Some(positive(m.offset, &at("offset"))?) },
+        spacing,
+        face_size_texels,
+        rays_per_texel: count(m.rays_per_texel, 16, 1, 1024, &at("rays_per_texel"))?,
+        sample_map_size_texels: given(m.sample_map_size_texels).map(|texels| count(texels, 0, 16, 1024, &map_field)).transpose()?,
+        pixel_format: match proto::PixelFormat::try_from(m.pixel_format) {
+            Ok(proto::PixelFormat::Unspecified) => None,
+            _ => Some(pixel_format(m.pixel_format, PixelFormat::F16, &at("pixel_format"))?),
+        },
+        codec: codec(m.codec, Codec::DEFAULT, &at("codec"))?,
+    })
+}
+
+fn placement(m: proto::ObjectPlacement, field: &str) -> Result<Placement, ApiError> {
+    let stand_at = m.stand_at.map(vec3);
+    if let Some(at) = stand_at.filter(|at| !at.is_finite()) {
+        return Err(ApiError::field(format!("{field}.stand_at"), format!("{at}, finite coordinates expected")));
+    }
+    Ok(Placement {
+        stand_at,
+        turn_deg: within(m.turn_deg, -360_000.0, 360_000.0, &format!("{field}.turn_deg"))?,
+        scale: if m.scale == 0.0 { 1.0 } else { positive(m.scale, &format!("{field}.scale"))? },
+    })
 }
 
 fn evaluate(m: proto::EvaluateSpec, limits: &SpecLimits, field: &str) -> Result<EvaluateSpec, ApiError> {

@@ -120,7 +120,7 @@ pub fn no_adapter_to_fit_on() -> ApiError {
 const VERSION: &str = " version ";
 
 /// As a parameter map remembers what it was fitted to.
-fn version_name(dataset: &str, version: u64) -> String {
+pub(super) fn version_name(dataset: &str, version: u64) -> String {
     format!("{dataset}{VERSION}{version}")
 }
 

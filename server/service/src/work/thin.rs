@@ -21,6 +21,14 @@ const REPORT: &str = "thinning.json";
 /// Which cube maps are left: a part, too.
 const KEPT: &str = "kept.json";
 
+/// What a version must hold.
+pub(super) fn light_field(version: &OpenedVersion) -> Result<&OffsetSurfaceLightField, ApiError> {
+    version.representation.as_any().downcast_ref().ok_or_else(|| {
+        let (found, expected) = (version.representation.kind().name(), KIND.name());
+        ApiError::new(Reason::DatasetKindMismatch, format!("dataset {} holds {found:?}, {expected:?} expected", version.dataset))
+    })
+}
+
 impl Work {
     pub(super) fn thin(&self, spec: &ThinSpec, attempt: &Attempt) -> Result<Outcome, ApiError> {
         let fill = |staging: &Staging| self.fill_thinned(spec, &*self.open(&spec.dataset, spec.version)?, staging, attempt);
@@ -39,11 +47,7 @@ impl Work {
         staging: &Staging,
         attempt: &Attempt,
     ) -> Result<Publication, ApiError> {
-        let field: &OffsetSurfaceLightField = version.representation.as_any().downcast_ref().ok_or_else(|| {
-            let message =
-                format!("dataset {} holds {:?}, {:?} expected", version.dataset, version.representation.kind().name(), KIND.name());
-            ApiError::new(Reason::DatasetKindMismatch, message)
-        })?;
+        let field = light_field(version)?;
         let (source, scene) = self.captured_scene(version)?;
         let Settings::OffsetSurfaceLightField(settings) = spec.settings.settings else {
             return Err(ApiError::internal("settings were checked against the dataset's kind"));

@@ -36,7 +36,7 @@ pub(crate) use rasterize::{BAND_BYTES_PER_PIXEL, Band, OUTPUT_WORDS, Rasterizer,
 #[cfg(all(test, feature = "gpu"))]
 pub(crate) use rasterize::{SOURCE as G_BUFFER_SOURCE, VISIBILITY_SOURCE, resolve::SOURCE as RESOLVE_SOURCE};
 pub(crate) use texture_pyramid::TexturePyramids;
-pub(crate) use trace::GBufferTracer;
+pub(crate) use trace::{GBufferTracer, ProxySeen};
 
 /// One pixel. `a` = (u, v, code, distance along the ray), `b` = (normal | radiance, 0); `code` is written and read by [`Seen`]. The
 /// differentials are Igehy's ("Tracing ray differentials", 1999).

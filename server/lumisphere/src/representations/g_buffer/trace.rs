@@ -71,20 +71,8 @@ impl GBufferTracer {
     }
 
     fn background(&self, ray: Ray, distance: f32, t: usize, weights: Vec3, pixel_angle: f32) -> GBufferPixel {
-        let corners = self.geometry.background_triangles[t].map(|v| self.geometry.background_vertices[v as usize]);
-        let blend = |of: fn(&BackgroundVertex) -> [f32; 3]| (0..3).map(|k| weights[k] * Vec3::from(of(&corners[k]))).sum::<Vec3>();
-        let uv: Vec2 = (0..3).map(|k| weights[k] * Vec2::from(corners[k].uv)).sum();
-        let front = faces(corners.map(|c| c.position), ray);
-        let irradiance = if front { blend(|v| v.irradiance_front) } else { blend(|v| v.irradiance_back) };
-        let cosine = blend(|v| v.normal).normalize_or(-ray.direction).dot(ray.direction).abs();
-        let material = &self.geometry.materials[corners[0].material as usize];
-        let mut albedo = Vec3::from(material.albedo);
-        if material.level_count > 0 {
-            let footprint = material.texels_per_length * distance * pixel_angle / cosine.max(LEAST_COSINE).sqrt();
-            albedo = self.geometry.pyramids.texture_color(material.first_level, material.level_count, uv, footprint);
-        }
-        let emission = if front { Vec3::from(material.emission) } else { Vec3::ZERO };
-        let radiance = emission + albedo * irradiance * std::f32::consts::FRAC_1_PI;
+        let ProxySeen { uv, material, radiance, .. } = self.geometry.proxy(ray, distance, t, weights, pixel_angle);
+        let material = &self.geometry.materials[material as usize];
         let seen = if material.unknown == 1 { Seen::Unknown } else { Seen::Background };
         GBufferPixel {
             a: [uv.x, uv.y, seen.code(), distance],
@@ -92,6 +80,39 @@ impl GBufferTracer {
             differentials: Default::default(),
             tangent: [0.0; 4],
         }
+    }
+}
+
+/// What a ray sees of a proxy.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct ProxySeen {
+    pub uv: Vec2,
+    /// Index into `ProxyGeometry::materials`, which are those of the background's surfaces.
+    pub material: u32,
+    /// Toward the ray's origin.
+    pub emission: Vec3,
+    /// All of it.
+    pub radiance: Vec3,
+}
+
+impl ProxyGeometry {
+    /// Of the triangle `t` of the background, at `weights`, over `angle` radians.
+    pub fn proxy(&self, ray: Ray, distance: f32, t: usize, weights: Vec3, angle: f32) -> ProxySeen {
+        let corners = self.background_triangles[t].map(|v| self.background_vertices[v as usize]);
+        let blend = |of: fn(&BackgroundVertex) -> [f32; 3]| (0..3).map(|k| weights[k] * Vec3::from(of(&corners[k]))).sum::<Vec3>();
+        let uv: Vec2 = (0..3).map(|k| weights[k] * Vec2::from(corners[k].uv)).sum();
+        let front = faces(corners.map(|c| c.position), ray);
+        let irradiance = if front { blend(|v| v.irradiance_front) } else { blend(|v| v.irradiance_back) };
+        let cosine = blend(|v| v.normal).normalize_or(-ray.direction).dot(ray.direction).abs();
+        let material = &self.materials[corners[0].material as usize];
+        let mut albedo = Vec3::from(material.albedo);
+        if material.level_count > 0 {
+            let footprint = material.texels_per_length * distance * angle / cosine.max(LEAST_COSINE).sqrt();
+            albedo = self.pyramids.texture_color(material.first_level, material.level_count, uv, footprint);
+        }
+        let emission = if front { Vec3::from(material.emission) } else { Vec3::ZERO };
+        let radiance = emission + albedo * irradiance * std::f32::consts::FRAC_1_PI;
+        ProxySeen { uv, material: corners[0].material, emission, radiance }
     }
 }
 

@@ -4,7 +4,7 @@ use glam::Vec3;
 use thiserror::Error;
 
 use super::sample_points::{PlacementError, Spacing, build_sample_maps, place_sample_points, spacing_of};
-use super::{NO_SAMPLE, OffsetSurfaceLightField, Parameters, SamplePoint, to_parts};
+use super::{NO_SAMPLE, OffsetSurfaceLightField, Parameters, SampleMaps, SamplePoint, to_parts};
 use crate::capture::{CaptureError, PartsError, SurfaceMesh, Viewpoint, bake_background, coarser_levels, trace_cube_maps};
 use crate::progress::{Cancelled, Progress};
 use crate::raytrace::{Appearance, TraceError, TraceSettings, Tracer};
@@ -119,12 +119,7 @@ pub fn construct(
         Original::AsAuthored => Appearance::AsAuthored,
     };
     let tracer = Tracer::new(scene)?.with_appearance(index, appearance);
-    let placed = place_sample_points(&surface, settings.spacing)?;
-    let epsilon = settings.epsilon.unwrap_or_else(|| DEFAULT_EPSILON_PER_SPACING * spacing_of(&surface, placed.len()));
-    let sample_points = offset_points(&placed, epsilon, &tracer);
-    if sample_points.is_empty() {
-        return Err(ConstructError::AllInside(placed.len()));
-    }
+    let (sample_points, epsilon) = points_off(&surface, settings.spacing, settings.epsilon, &tracer)?;
     progress.report("placing sample points", 1, 1);
 
     let trace = TraceSettings { samples_per_pixel: settings.samples_per_texel, max_bounces: settings.max_bounces, seed: settings.seed };
@@ -134,11 +129,7 @@ pub fn construct(
     let format = (settings.codec, settings.pixel_format);
     trace_cube_maps(&viewpoints, settings.face_size_texels, format, &trace, staging, progress)?;
 
-    progress.report("building sample maps", 0, 1);
-    let lift = 0.1 * epsilon;
-    let visible = |texel: SamplePoint, sample: Vec3| !tracer.occluded(texel.position + lift * texel.normal, sample);
-    let sample_maps = build_sample_maps(&surface, &sample_points, settings.sample_map_size_texels as usize, &visible);
-    progress.report("building sample maps", 1, 1);
+    let sample_maps = sample_maps_of(&surface, &sample_points, (epsilon, settings.sample_map_size_texels), &tracer, progress);
     let bake = TraceSettings { samples_per_pixel: BACKGROUND_SAMPLES, ..trace };
     let background = bake_background(scene, index, (center, radius), &tracer, &bake, progress)?;
 
@@ -155,6 +146,7 @@ pub fn construct(
         seed: settings.seed,
         original: settings.original,
         thinned_from: None,
+        replaced: None,
     };
     let field = OffsetSurfaceLightField { parameters, surface, sample_points, sample_maps, background };
     for (name, bytes) in to_parts(&field)? {
@@ -163,20 +155,56 @@ pub fn construct(
     Ok(field.parameters)
 }
 
+/// Refuses what is not in low..=high.
+pub(super) fn within(setting: &'static str, value: u32, low: u32, high: u32, expected: &'static str) -> Result<(), ConstructError> {
+    if (low..=high).contains(&value) { Ok(()) } else { Err(ConstructError::Setting { setting, value: value.to_string(), expected }) }
+}
+
+/// Refuses an ε that is none.
+pub(super) fn check_epsilon(epsilon: Option<f32>) -> Result<(), ConstructError> {
+    match epsilon {
+        Some(e) if !(e > 0.0 && e.is_finite()) => {
+            Err(ConstructError::Setting { setting: "epsilon", value: e.to_string(), expected: "a finite distance above zero" })
+        }
+        _ => Ok(()),
+    }
+}
+
 fn check(settings: &ConstructSettings) -> Result<(), ConstructError> {
-    let within = |setting, value: u32, low: u32, high: u32, expected| {
-        if (low..=high).contains(&value) { Ok(()) } else { Err(ConstructError::Setting { setting, value: value.to_string(), expected }) }
-    };
     within("face size", settings.face_size_texels, 4, 1024, "4 to 1024 texels")?;
     within("sample map size", settings.sample_map_size_texels, 1, 1024, "1 to 1024 texels")?;
     within("samples per texel", settings.samples_per_texel, 1, 65_536, "1 to 65536")?;
     within("max bounces", settings.max_bounces, 1, 64, "1 to 64")?;
-    if let Some(epsilon) = settings.epsilon
-        && !(epsilon > 0.0 && epsilon.is_finite())
-    {
-        return Err(ConstructError::Setting { setting: "epsilon", value: epsilon.to_string(), expected: "a finite distance above zero" });
-    }
-    Ok(())
+    check_epsilon(settings.epsilon)
+}
+
+/// The sample points of a surface in `tracer`'s scene, and their ε. At least one.
+pub(super) fn points_off(
+    surface: &SurfaceMesh,
+    spacing: Spacing,
+    epsilon: Option<f32>,
+    tracer: &Tracer,
+) -> Result<(Vec<SamplePoint>, f32), ConstructError> {
+    let placed = place_sample_points(surface, spacing)?;
+    let epsilon = epsilon.unwrap_or_else(|| DEFAULT_EPSILON_PER_SPACING * spacing_of(surface, placed.len()));
+    let sample_points = offset_points(&placed, epsilon, tracer);
+    if sample_points.is_empty() { Err(ConstructError::AllInside(placed.len())) } else { Ok((sample_points, epsilon)) }
+}
+
+/// The sample maps of a surface in `tracer`'s scene.
+pub(super) fn sample_maps_of(
+    surface: &SurfaceMesh,
+    sample_points: &[SamplePoint],
+    (epsilon, size_texels): (f32, u32),
+    tracer: &Tracer,
+    progress: &dyn Progress,
+) -> SampleMaps {
+    progress.report("building sample maps", 0, 1);
+    let lift = 0.1 * epsilon;
+    let visible = |texel: SamplePoint, sample: Vec3| !tracer.occluded(texel.position + lift * texel.normal, sample);
+    let sample_maps = build_sample_maps(surface, sample_points, size_texels as usize, &visible);
+    progress.report("building sample maps", 1, 1);
+    sample_maps
 }
 
 // Points lifted by ε; those inside other geometry, or cut off from their surface by it, are dropped.

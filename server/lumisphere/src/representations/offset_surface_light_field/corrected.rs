@@ -22,9 +22,9 @@ const MARCH_STEPS: u32 = 12;
 /// Reads that narrow down where the ray enters a surface.
 const REFINEMENTS: u32 = 5;
 /// Relative difference of distances from which on a sample point is taken to see something else.
-const MOST_DISAGREEMENT: f32 = 0.1;
+pub(super) const MOST_DISAGREEMENT: f32 = 0.1;
 /// Texels side by side that differ more show an edge: between them nothing is known.
-const MOST_STEEPNESS: f32 = 0.3;
+pub(super) const MOST_STEEPNESS: f32 = 0.3;
 const FALLBACK: Blend = Blend::Normal { exponent: 4.0 };
 
 /// Stored distances around a direction, inverted; 0 where nothing is seen.

@@ -32,6 +32,7 @@ mod reference;
 mod reflections;
 mod refraction;
 mod relight;
+mod replacing;
 mod requests;
 mod sample_points;
 mod shade;
@@ -61,6 +62,7 @@ use crate::textures::{ContentHash, PageId, PageShape};
 pub use construct::{ConstructError, ConstructSettings, construct};
 #[cfg(all(test, feature = "gpu"))]
 pub(crate) use kernel::SOURCE as KERNEL_SOURCE;
+pub use replacing::{BAKED_FIRST, Placement, ReplaceError, ReplaceSettings, Shares, Surrounding, replace};
 pub use sample_points::{PlacementError, Spacing, build_sample_maps, place_sample_points};
 pub use storage::{from_parts, to_parts};
 pub use thinning::{Kept, PixelError, Thinning, ThinningError, ValidationPixel, ValidationView, copy_pages};
@@ -145,6 +147,19 @@ pub struct Parameters {
     /// What it had before it was thinned; None for what was captured so.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub thinned_from: Option<ThinnedFrom>,
+    /// Out of which light field this was made, where its object never stood in the scene.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub replaced: Option<Replaced>,
+}
+
+/// Where an object stands in light that was captured around another.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Replaced {
+    /// The object that was captured; what it reflected onto its surroundings is still there.
+    pub object: String,
+    /// The light field that it was captured in, as whoever made this names it.
+    pub light: String,
 }
 
 /// What a light field was thinned from.

@@ -26,7 +26,7 @@ use super::reference::{Asides, PagedCubes, PagesTouched};
 use super::shade::{ReadCube, Shaded, Sight, toward};
 use super::{Component, NO_SAMPLE, OffsetSurfaceLightField, Settings};
 use crate::capture::sky_share;
-use crate::directions::{FACES, Footprint, bilinear_footprint, direction_from_face, texel_direction, texel_solid_angle};
+use crate::directions::{FACES, Footprint, Texel, bilinear_footprint, direction_from_face, texel_direction, texel_solid_angle};
 use crate::representations::RenderError;
 use crate::representations::page_source::CountingSource;
 use crate::scenes::{Environment, Relighting};
@@ -59,17 +59,8 @@ impl EnvironmentCube {
         let levels = (coarser + 1).saturating_sub(base).max(1);
         let width = size as usize;
         cube.texels = vec![Vec3::ZERO; width * cube.first_row(levels) as usize];
-        // As close as the map's own texels lie: a sun of one of them is not missed.
-        let map_width = match environment {
-            Environment::Constant(_) => 0,
-            Environment::Map(map) => map.image.width,
-        };
-        let steps = map_width.div_ceil(4 * width).clamp(1, MOST_STEPS);
         let texel = |at: usize| {
-            let (face, row, column) = (at / width / width, at / width % width, at % width);
-            let place = |k: usize| Vec2::new((k % steps) as f32 + 0.5, (k / steps) as f32 + 0.5) / steps as f32;
-            let toward = |k: usize| texel_direction(face, width, column as f32 + place(k).x, row as f32 + place(k).y);
-            (0..steps * steps).map(|k| environment.radiance(toward(k))).sum::<Vec3>() / (steps * steps) as f32
+            environment_over(environment, width, Texel { face: at / width / width, row: at / width % width, column: at % width })
         };
         let finest: Vec<Vec3> = (0..FACES * width * width).into_par_iter().map(texel).collect();
         cube.texels[..finest.len()].copy_from_slice(&finest);
@@ -138,6 +129,19 @@ impl EnvironmentCube {
         }
         near + sky * self.environment_toward(turned.before(direction), level)
     }
+}
+
+/// The environment's mean over a texel of faces with `size` texels an edge, looked at as close as the map's own texels lie: a sun of one of them
+/// is not missed.
+pub(super) fn environment_over(environment: &Environment, size: usize, texel: Texel) -> Vec3 {
+    let map_width = match environment {
+        Environment::Constant(radiance) => return *radiance,
+        Environment::Map(map) => map.image.width,
+    };
+    let steps = map_width.div_ceil(4 * size).clamp(1, MOST_STEPS);
+    let place = |k: usize| Vec2::new((k % steps) as f32 + 0.5, (k / steps) as f32 + 0.5) / steps as f32;
+    let toward = |k: usize| texel_direction(texel.face, size, texel.column as f32 + place(k).x, texel.row as f32 + place(k).y);
+    (0..steps * steps).map(|k| environment.radiance(toward(k))).sum::<Vec3>() / (steps * steps) as f32
 }
 
 // Along each edge of a texel.

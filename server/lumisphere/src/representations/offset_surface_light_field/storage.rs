@@ -115,6 +115,7 @@ mod tests {
                 seed: 7,
                 original: Original::AsAuthored,
                 thinned_from: None,
+                replaced: None,
             },
             surface: SurfaceMesh { mesh: triangle(), part_of_triangle: vec![0], parts: 1 },
             sample_points: vec![SamplePoint { position: Vec3::Z, normal: Vec3::Z }],

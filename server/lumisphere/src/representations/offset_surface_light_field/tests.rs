@@ -12,6 +12,7 @@ mod recording;
 mod reflections;
 mod refraction;
 mod relight;
+mod replacing;
 mod stability;
 mod thinning;
 

@@ -39,6 +39,7 @@ pub fn listed_job(view: &JobView) -> Result<proto::Job, ApiError> {
     let mut job = job(view)?;
     match job.spec.as_mut().and_then(|s| s.spec.as_mut()) {
         Some(Spec::Capture(m)) => forget_files(m.scene.as_mut()),
+        Some(Spec::Replace(m)) => forget_files(m.scene.as_mut()),
         Some(Spec::Observe(m)) => match &mut m.source {
             Some(observe_spec::Source::VirtualPhotographs(m)) => forget_files(m.scene.as_mut()),
             Some(observe_spec::Source::Photographs(m)) => {

@@ -77,6 +77,59 @@ fn thinning_out_of_range_is_refused_by_field() {
 }
 
 #[test]
+fn a_replacement_has_the_datasets_own_settings_and_out_of_range_is_refused_by_field() {
+    let good = || proto::ReplaceSpec {
+        dataset: "tea".into(),
+        into: "coffee".into(),
+        scene: capture_message().scene,
+        object: "cup".into(),
+        ..Default::default()
+    };
+    let spec = replace(good(), "r").unwrap();
+    assert_eq!((spec.epsilon, spec.spacing, spec.face_size_texels, spec.sample_map_size_texels), (None, None, None, None));
+    assert_eq!((spec.pixel_format, spec.codec, spec.rays_per_texel, spec.placement), (None, Codec::BitsChunk, 16, Placement::NONE));
+    let stand_at = Some(proto::Vector3 { x: 1.0, y: 2.0, z: -3.0 });
+    let asked = proto::ReplaceSpec {
+        placement: Some(proto::ObjectPlacement { stand_at, turn_deg: -90.0, scale: 2.0 }),
+        density: Some(proto::replace_spec::Density::Spacing(0.25)),
+        face_size_texels: 32,
+        sample_map_size_texels: 64,
+        pixel_format: proto::PixelFormat::F32.into(),
+        ..good()
+    };
+    let spec = replace(asked, "r").unwrap();
+    let expected = Placement { stand_at: Some(glam::Vec3::new(1.0, 2.0, -3.0)), turn_deg: -90.0, scale: 2.0 };
+    assert_eq!((spec.placement, spec.spacing), (expected, Some(Spacing::Distance(0.25))));
+    assert_eq!((spec.face_size_texels, spec.sample_map_size_texels, spec.pixel_format), (Some(32), Some(64), Some(PixelFormat::F32)));
+    let refused = |change: fn(&mut proto::ReplaceSpec)| {
+        let mut message = good();
+        change(&mut message);
+        replace(message, "r").unwrap_err().to_string()
+    };
+    let placed = |stand_at: [f32; 3], turn_deg: f32, scale: f32| {
+        let [x, y, z] = stand_at;
+        placement(proto::ObjectPlacement { stand_at: Some(proto::Vector3 { x, y, z }), turn_deg, scale }, "p").unwrap_err().to_string()
+    };
+    assert!(refused(|r| r.dataset = "../x".into()).starts_with("r.dataset"));
+    assert!(refused(|r| r.into.clear()).starts_with("r.into"));
+    assert!(refused(|r| r.scene = None).starts_with("r.scene: missing"));
+    assert!(refused(|r| r.object.clear()).starts_with("r.object: missing"));
+    assert!(refused(|r| r.offset = f32::NAN).starts_with("r.offset: NaN"));
+    assert!(refused(|r| r.density = Some(proto::replace_spec::Density::SamplePoints(3))).contains("4 to 65534"));
+    assert!(refused(|r| r.density = Some(proto::replace_spec::Density::SamplePoints(0))).starts_with("r.sample_points: 0"));
+    assert!(refused(|r| r.density = Some(proto::replace_spec::Density::Spacing(-1.0))).starts_with("r.spacing: -1"));
+    assert!(refused(|r| r.face_size_texels = 24).contains("a multiple of 16"));
+    assert!(refused(|r| r.face_size_texels = 2048).starts_with("r.face_size_texels: 2048"));
+    assert!(refused(|r| r.sample_map_size_texels = 8).starts_with("r.sample_map_size_texels: 8"));
+    assert!(refused(|r| r.rays_per_texel = 1025).starts_with("r.rays_per_texel: 1025"));
+    assert!(refused(|r| r.pixel_format = 5).starts_with("r.pixel_format: 5"));
+    assert!(refused(|r| r.codec = 9).starts_with("r.codec: 9"));
+    assert!(placed([f32::NAN, 0.0, 0.0], 0.0, 1.0).starts_with("p.stand_at"));
+    assert!(placed([0.0; 3], f32::INFINITY, 1.0).starts_with("p.turn_deg"));
+    assert!(placed([0.0; 3], 0.0, -1.0).starts_with("p.scale: -1"));
+}
+
+#[test]
 fn a_fit_out_of_range_is_refused_by_field() {
     let good = || proto::FitSpec { observations: "seen".into(), dataset: "map".into(), ..Default::default() };
     let spec = fit(good(), "f").unwrap();

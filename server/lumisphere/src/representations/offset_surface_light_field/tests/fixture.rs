@@ -158,6 +158,7 @@ impl World {
             seed: 0,
             original: Original::Diffuse,
             thinned_from: None,
+            replaced: None,
         };
         let background = self.background();
         (OffsetSurfaceLightField { parameters, surface, sample_points, sample_maps, background }, MemoryPages(pages))
