@@ -1,5 +1,7 @@
 //! An `Interact` stream as its viewer sees it: poses up, frames down, a credit given back for each. `render --stream`, `stream` and `watch` use it.
 
+use std::time::{Duration, Instant};
+
 use anyhow::Context as _;
 use lumisphere_proto::v1alpha1 as wire;
 use tokio::sync::mpsc;
@@ -14,6 +16,13 @@ use crate::exit::Failure;
 
 /// Messages on their way up: more than anyone types before a server that stalls is noticed. Who sends more waits.
 const OUTBOX: usize = 1024;
+
+/// The least time of so many calls is the round trip.
+const ROUND_TRIPS: usize = 3;
+/// Frames a second of a path whose frames are all kept: its credits are made for so many.
+const PATH_RATE: f32 = 30.0;
+/// The most that a server takes.
+const MOST_CREDITS: f32 = 16.0;
 
 /// An open stream; dropping it ends it.
 pub struct Interaction {
@@ -40,8 +49,11 @@ pub enum Wanted {
 }
 
 impl Interaction {
-    /// The server answers a bad opening with the first `next`.
-    pub async fn open(context: &Context, server: &Server, open: wire::OpenInteraction) -> anyhow::Result<Self> {
+    /// With as many credits as fill the way to the server at the rate that is asked for. The server answers a bad opening with the first
+    /// `next`.
+    pub async fn open(context: &Context, server: &Server, mut open: wire::OpenInteraction) -> anyhow::Result<Self> {
+        let rate = open.moving_frames_per_second.filter(|rate| *rate > 0.0).unwrap_or(PATH_RATE);
+        open.credits = credits(round_trip(context, server).await?, rate);
         let (up, messages) = mpsc::channel(OUTBOX);
         let _ = up.send(wire::InteractRequest { message: Some(Up::Open(open)) }).await;
         let down = server.rendering().interact(context.patient_request(ReceiverStream::new(messages))).await?.into_inner();
@@ -99,6 +111,22 @@ impl Interaction {
     }
 }
 
+/// One frame that is looked at, and those that are on their way meanwhile: 1 + ⌈round trip × rate⌉.
+fn credits(round_trip: Duration, frames_per_second: f32) -> u32 {
+    (1.0 + (round_trip.as_secs_f32() * frames_per_second).ceil().max(1.0)).min(MOST_CREDITS) as u32
+}
+
+/// To the server and back, without anything to carry.
+async fn round_trip(context: &Context, server: &Server) -> anyhow::Result<Duration> {
+    let mut least = Duration::MAX;
+    for _ in 0..ROUND_TRIPS {
+        let asked = Instant::now();
+        server.system().measure_link(context.request(wire::MeasureLinkRequest::default())).await?;
+        least = least.min(asked.elapsed());
+    }
+    Ok(least)
+}
+
 /// The same error that a unary call would give.
 fn status_of(status: wire::InteractStatus) -> Status {
     let details = ErrorDetails::with_error_info(status.reason, lumisphere_proto::ERROR_DOMAIN, [] as [(String, String); 0]);
@@ -108,6 +136,14 @@ fn status_of(status: wire::InteractStatus) -> Status {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn credits_fill_the_way_to_the_server_and_leave_one_frame_to_look_at() {
+        let of = |millis, rate| credits(Duration::from_millis(millis), rate);
+        // A way of no length has a frame on it, too.
+        assert_eq!([of(0, 30.0), of(33, 30.0), of(34, 30.0), of(100, 30.0), of(100, 12.0)], [2, 2, 3, 4, 3]);
+        assert_eq!(of(10_000, 240.0), 16);
+    }
 
     #[test]
     fn a_status_in_a_stream_has_the_exit_code_of_the_same_status_alone() {

@@ -165,7 +165,7 @@ async fn paths_that_a_viewer_has_moved_on_from_are_given_up_in_the_midst_of_a_pa
     let whole = wire::RenderFrameRequest { camera: Some(camera(256, 256)), ..request(truth(1, 64)) };
     server.rendering().await.render_frame(whole).await.unwrap();
     let pass = server.cpu_seconds() - idle;
-    for (passes, moving_frames_per_second) in [(2, 0.0), (1, 30.0)] {
+    for (passes, moving_frames_per_second) in [(2, Some(0.0)), (1, Some(30.0))] {
         let open = wire::OpenInteraction { settings: Some(truth(passes, 64)), moving_frames_per_second, ..opening(1) };
         let mut viewer = Viewer::open_as(&server, open, Transport::Interact).await.unwrap();
         let mut pose_id = 0;

@@ -3,6 +3,7 @@
 //! The binaries must be built: `tests/run` does, or `cargo build --workspace --bins --examples`.
 
 mod bad_input;
+mod bulk;
 mod cache;
 mod calibration;
 mod clients;

@@ -47,7 +47,7 @@ fn around(step: u64) -> wire::Camera {
 }
 
 async fn open(server: &Server, transport: Transport) -> Viewer {
-    let open = wire::OpenInteraction { settings: Some(slow()), moving_frames_per_second: 240.0, ..opening(1) };
+    let open = wire::OpenInteraction { settings: Some(slow()), moving_frames_per_second: Some(240.0), ..opening(1) };
     Viewer::open_as(server, open, transport).await.unwrap()
 }
 
@@ -107,7 +107,7 @@ async fn what_comes_to_rest_is_shown_in_the_encoding_for_rest() {
     // A viewer that would get 1 frame a second is shown the full size in motion, too: but not the encoding.
     for (transport, rate) in TRANSPORTS.into_iter().flat_map(|transport| [0.0, 1.0, 240.0].map(|rate| (transport, rate))) {
         let settings = frame_request(DATASET).settings;
-        let open = wire::OpenInteraction { settings, output: Some(at_rest), moving_frames_per_second: rate, ..opening(1) };
+        let open = wire::OpenInteraction { settings, output: Some(at_rest), moving_frames_per_second: Some(rate), ..opening(1) };
         let mut viewer = Viewer::open_as(&server, open, transport).await.unwrap();
         viewer.pose(1, around(1)).await;
         let mut frames = vec![viewer.frame().await];
@@ -131,7 +131,7 @@ async fn in_motion_frames_are_not_in_the_encoding_for_rest() {
     let at_rest = wire::OutputSettings { encoding_at_rest: wire::Encoding::Png.into(), ..output(wire::Encoding::Jpeg) };
     for transport in TRANSPORTS {
         let settings = frame_request(DATASET).settings;
-        let open = wire::OpenInteraction { settings, output: Some(at_rest), moving_frames_per_second: 240.0, ..opening(1) };
+        let open = wire::OpenInteraction { settings, output: Some(at_rest), moving_frames_per_second: Some(240.0), ..opening(1) };
         let mut viewer = Viewer::open_as(&server, open, transport).await.unwrap();
         let (_, smaller) = move_until_smaller(&mut viewer).await;
         assert_eq!(smaller.encoding(), wire::Encoding::Jpeg, "{transport:?}");
@@ -189,7 +189,7 @@ async fn a_half_closed_stream_is_owed_the_full_frame_of_its_last_pose() {
 async fn rates_that_are_none_are_refused() {
     let (_folder, server) = with_dataset().await;
     for rate in [f32::NAN, f32::INFINITY, -1.0, 0.5, 241.0] {
-        let open = wire::OpenInteraction { moving_frames_per_second: rate, ..opening(1) };
+        let open = wire::OpenInteraction { moving_frames_per_second: Some(rate), ..opening(1) };
         let status = Viewer::open_as(&server, open, Transport::Session).await.err().expect("a refusal");
         assert_eq!(code_and_reason(&status), (Code::InvalidArgument, "FIELD_INVALID".into()));
         assert_eq!(fields(&status), ["open.moving_frames_per_second"], "{rate}");

@@ -45,7 +45,7 @@ async fn alone(server: &Server, camera: wire::Camera, settings: wire::RenderSett
 }
 
 async fn open(server: &Server, credits: u32, rate: f32, settings: wire::RenderSettings, transport: Transport) -> Viewer {
-    let open = wire::OpenInteraction { settings: Some(settings), moving_frames_per_second: rate, ..opening(credits) };
+    let open = wire::OpenInteraction { settings: Some(settings), moving_frames_per_second: Some(rate), ..opening(credits) };
     Viewer::open_as(server, open, transport).await.unwrap()
 }
 

@@ -71,7 +71,7 @@ pub fn opening(credits: u32) -> wire::OpenInteraction {
         settings: Some(settings(Component::Full, Blend::Average)),
         output: Some(output(wire::Encoding::RawZstd)),
         credits,
-        moving_frames_per_second: 0.0,
+        moving_frames_per_second: Some(0.0),
     }
 }
 

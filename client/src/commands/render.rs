@@ -24,8 +24,6 @@ use crate::views;
 
 /// The contact sheet's file name.
 const CONTACT_SHEET: &str = "contact-sheet.png";
-/// Frames on their way in a stream: one arriving while the next is rendered.
-const CREDITS: u32 = 2;
 
 /// Flags of `render`.
 #[derive(Debug, Args)]
@@ -122,8 +120,8 @@ impl<'a> FrameSource<'a> {
             let template = Box::new(wire::RenderFrameRequest { dataset, version, camera: None, settings, output, pose_id: 0 });
             return Ok(Self::Unary { context, client, template });
         }
-        // Every frame is kept: none shall be smaller for having moved.
-        let open = wire::OpenInteraction { dataset, version, settings, output, credits: CREDITS, moving_frames_per_second: 0.0 };
+        // Every frame is kept: none shall be smaller for having moved. Credits are the opening's to know.
+        let open = wire::OpenInteraction { dataset, version, settings, output, credits: 0, moving_frames_per_second: Some(0.0) };
         Ok(Self::Stream(Interaction::open(context, server, open).await?))
     }
 

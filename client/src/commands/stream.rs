@@ -23,8 +23,6 @@ use crate::video::{ColourFlags, FrameRate};
 use crate::viewer_path::{PathKind, ViewerPaths};
 use sink::{Destination, Sink, Slot};
 
-/// Frames that the server may send ahead of their acknowledgement: a coarse one and the one that is final.
-const CREDITS: u32 = 2;
 /// Four seconds of an orbit.
 const DEFAULT_FRAMES: &str = "120";
 
@@ -108,9 +106,10 @@ pub async fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<()>
         version: version.version,
         settings: Some(settings),
         output: Some(arguments.output.to_wire()),
-        credits: CREDITS,
+        // The opening's to know.
+        credits: 0,
         // Every frame is kept: none shall be smaller for having moved.
-        moving_frames_per_second: 0.0,
+        moving_frames_per_second: Some(0.0),
     };
     let mut interaction = Interaction::open(context, &server, open).await?;
     let wanted = if arguments.unrefined { Wanted::First } else { Wanted::Final };

@@ -27,8 +27,6 @@ use questions::{Answers, ask, sane};
 use screen::{Raw, Screen};
 use steering::{Reaction, Steering, Viewpoint, radius};
 
-/// One being drawn, one on its way.
-const CREDITS: u32 = 2;
 /// Events that wait while a picture is drawn.
 const WAITING_EVENTS: usize = 256;
 /// Of a picture that is printed: a cell is hundreds of its pixels.
@@ -58,7 +56,7 @@ pub struct Arguments {
     #[arg(long, value_name = "COLUMNSxROWS", requires = "once")]
     cells: Option<Cells>,
     /// Frames a second while the camera moves: they are made smaller until they come so fast; 0: always full size
-    #[arg(long, value_name = "HZ", default_value_t = 12.0)]
+    #[arg(long, value_name = "HZ", default_value_t = 30.0)]
     rate: f32,
     /// Field of view across the shorter side
     #[arg(long, value_name = "DEGREES", default_value_t = 40.0)]
@@ -121,8 +119,9 @@ pub async fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<()>
             exposure_gamma: arguments.gamma,
             ..Default::default()
         }),
-        credits: CREDITS,
-        moving_frames_per_second: if arguments.once { 0.0 } else { arguments.rate },
+        moving_frames_per_second: Some(if arguments.once { 0.0 } else { arguments.rate }),
+        // The opening's to know.
+        credits: 0,
     };
     let Arguments { azimuth_deg, elevation_deg, distance_radii, fov_deg, .. } = *arguments;
     let home = Viewpoint::around(&bounds, azimuth_deg, elevation_deg, distance_radii, fov_deg);

@@ -30,7 +30,8 @@ use crate::representations::GpuKernel;
 pub use crate::representations::UploadUnit;
 use crate::representations::{CountingSource, CpuKernel};
 pub use crate::representations::{
-    FrameRequest, GpuFrameStats, Outputs, PageSource, PageUse, Pixels, Provenance, Refine, RenderError, Representation, Settings,
+    FrameRequest, GpuFrameStats, Outputs, PageSource, PageUse, PendingPixels, Pixels, Provenance, Refine, RenderError, Representation,
+    Settings,
 };
 #[cfg(feature = "gpu")]
 use crate::textures::{Page, PageId, PolicyKind};
@@ -67,6 +68,15 @@ pub struct Frame {
     pub stats: FrameStats,
 }
 
+/// A frame that is drawn. The last of its pixels may still lie in a buffer of the device's, from where they come while the next is drawn, or
+/// with [`Renderer::settle`].
+pub struct PendingFrame {
+    width_px: u32,
+    height_px: u32,
+    pixels: PendingPixels,
+    stats: FrameStats,
+}
+
 /// What a frame took.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FrameStats {
@@ -86,6 +96,36 @@ pub struct FrameStats {
     pub gpu: Option<GpuFrameStats>,
     /// Held on the device for this dataset when the frame was done; None on the CPU.
     pub device_bytes: Option<u64>,
+}
+
+impl PendingFrame {
+    /// Waits for its pixels. Errors where the device was given up before they were copied.
+    pub fn finish(self) -> Result<Frame, RenderError> {
+        let Self { width_px, height_px, pixels, mut stats } = self;
+        let (pixels, copying_millis) = pixels.finish()?;
+        stats.total_millis += copying_millis;
+        if let Some(gpu) = &mut stats.gpu {
+            gpu.read_back_millis += copying_millis;
+        }
+        Ok(Frame { width_px, height_px, pixels, stats })
+    }
+
+    /// What it took, but for the copy of its last pixels.
+    pub fn stats(&self) -> &FrameStats {
+        &self.stats
+    }
+
+    /// Whether no better frame of the view follows.
+    pub fn is_final(&self) -> bool {
+        self.pixels.is_final()
+    }
+}
+
+impl From<Frame> for PendingFrame {
+    fn from(frame: Frame) -> Self {
+        let Frame { width_px, height_px, pixels, stats } = frame;
+        Self { width_px, height_px, pixels: pixels.into(), stats }
+    }
 }
 
 // Of each dataset in use, least recently used first.
@@ -160,6 +200,19 @@ impl Renderer {
         request: &FrameRequest<'_>,
         backend: Option<Backend>,
     ) -> Result<Frame, RenderError> {
+        let pending = self.draw(representation, pages, request, backend)?;
+        self.settle();
+        pending.finish()
+    }
+
+    /// The same up to the copy of its last pixels, which goes on while the next frame is drawn.
+    pub fn draw(
+        &self,
+        representation: &Arc<dyn Representation>,
+        pages: &dyn PageSource,
+        request: &FrameRequest<'_>,
+        backend: Option<Backend>,
+    ) -> Result<PendingFrame, RenderError> {
         request.settings.check_frame(request.camera)?;
         match backend.unwrap_or(self.default_backend()) {
             Backend::Cpu => self.render_on_cpu(representation, pages, request, None),
@@ -173,13 +226,21 @@ impl Renderer {
         }
     }
 
+    /// Brings what was drawn and still lies on the device; to be called when no frame follows at once.
+    pub fn settle(&self) {
+        #[cfg(feature = "gpu")]
+        if let Some(side) = &self.gpu {
+            side.device.latest().settle();
+        }
+    }
+
     fn render_on_cpu(
         &self,
         representation: &Arc<dyn Representation>,
         pages: &dyn PageSource,
         request: &FrameRequest<'_>,
         fallback: Option<String>,
-    ) -> Result<Frame, RenderError> {
+    ) -> Result<PendingFrame, RenderError> {
         let begin = Instant::now();
         let kernel = self.cpu_kernel(representation);
         let prepare_millis = millis_since(begin);
@@ -195,7 +256,7 @@ impl Renderer {
             gpu: None,
             device_bytes: None,
         };
-        Ok(frame(request, pixels, stats))
+        Ok(pending_frame(request, pixels.into(), stats))
     }
 
     // The lock is held while a tree is built: two first frames of one dataset then build it once.
@@ -219,7 +280,7 @@ impl Renderer {
         representation: &Arc<dyn Representation>,
         pages: &dyn PageSource,
         request: &FrameRequest<'_>,
-    ) -> Result<Frame, RenderError> {
+    ) -> Result<PendingFrame, RenderError> {
         let side = self.gpu.as_ref().ok_or(RenderError::NoGpu)?;
         let begin = Instant::now();
         let mut tier = side.tier();
@@ -230,7 +291,7 @@ impl Renderer {
         let mut resident = tier.take(&device, representation, pages.version_slot())?;
         let prepare_millis = millis_since(begin);
         let pages = CountingSource::new(pages);
-        let outcome = resident.kernel.render(request, &pages);
+        let outcome = resident.kernel.draw(request, &pages);
         let device_bytes = resident.kernel.bytes();
         tier.put_back(resident);
         drop(tier);
@@ -243,13 +304,13 @@ impl Renderer {
             backend: Backend::Gpu,
             fallback: None,
             page_use: pages.usage(),
-            pages_needed: pixels.pages_needed,
+            pages_needed: pixels.pages_needed(),
             prepare_millis,
             total_millis: millis_since(begin),
             gpu: Some(gpu),
             device_bytes: Some(device_bytes),
         };
-        Ok(frame(request, pixels, stats))
+        Ok(pending_frame(request, pixels, stats))
     }
 
     /// How many devices were lost and others opened in their place.
@@ -351,9 +412,9 @@ impl GpuSide {
     }
 }
 
-fn frame(request: &FrameRequest<'_>, pixels: Pixels, stats: FrameStats) -> Frame {
+fn pending_frame(request: &FrameRequest<'_>, pixels: PendingPixels, stats: FrameStats) -> PendingFrame {
     let intrinsics = request.camera.intrinsics();
-    Frame { width_px: intrinsics.width_px, height_px: intrinsics.height_px, pixels, stats }
+    PendingFrame { width_px: intrinsics.width_px, height_px: intrinsics.height_px, pixels, stats }
 }
 
 fn millis_since(begin: Instant) -> f64 {
@@ -423,6 +484,42 @@ mod tests {
         let asked = |frame: &Frame| frame.stats.page_use.hits + frame.stats.page_use.misses;
         assert!(asked(&after) > 0, "the pages are brought anew");
         assert_eq!((asked(&frame()), renderer.devices_replaced()), (0, 1));
+    }
+
+    #[test]
+    fn a_frames_pixels_come_while_the_next_is_drawn_or_when_its_device_goes() {
+        if crate::gpu::test_gpu().is_none() {
+            return;
+        }
+        let renderer = Renderer::with_gpu(1 << 28).unwrap();
+        let (field, pages) = WORLD.build();
+        let field: Arc<dyn Representation> = Arc::new(field);
+        let settings = mirror();
+        let outputs = Outputs { depth: true, provenance: true };
+        let cameras = [3.0, 4.0].map(|z| WORLD.camera(z * glam::Vec3::Z, glam::Vec3::ZERO, 16, 12));
+        let [near, far] =
+            cameras.each_ref().map(|camera| FrameRequest { camera, settings: &settings, outputs, refine: Refine::Whole, table: None });
+        let whole = |request| renderer.render(&field, &pages, request, None).unwrap().pixels;
+        let (expected_near, expected_far) = (whole(&near), whole(&far));
+        assert_ne!(expected_near, expected_far);
+        let draw = |request| renderer.draw(&field, &pages, request, None).unwrap();
+        // Not for ever, where they do not come.
+        let pixels = |frame: PendingFrame| {
+            let (sender, here) = std::sync::mpsc::channel();
+            std::thread::spawn(move || sender.send(frame.finish().map(|frame| frame.pixels)));
+            here.recv_timeout(std::time::Duration::from_secs(60)).expect("they come").unwrap()
+        };
+        let (first, second, third) = (draw(&near), draw(&far), draw(&near));
+        assert!(pixels(first) == expected_near && pixels(second) == expected_far);
+        renderer.settle();
+        assert!(pixels(third) == expected_near);
+        let last = draw(&far);
+        renderer.lose_device();
+        assert!(pixels(last) == expected_far);
+        let very_last = draw(&near);
+        assert_eq!(renderer.devices_replaced(), 1);
+        drop(renderer);
+        assert!(pixels(very_last) == expected_near);
     }
 
     #[test]

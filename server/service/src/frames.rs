@@ -9,7 +9,7 @@ use lumisphere::geometry::Camera;
 use lumisphere::images::{
     ExrStorage, Image, ImageError, Rgb8, ToneMap, encode_exr_rgb, encode_jpeg_pixels, encode_png, tone_mapped_pixels,
 };
-use lumisphere::render::{Backend, Frame, FrameRequest, Outputs, Refine, Renderer};
+use lumisphere::render::{Backend, Frame, FrameRequest, Outputs, PendingFrame, Refine, Renderer};
 use lumisphere::textures::{Page, PageId};
 use tokio::sync::OwnedSemaphorePermit;
 
@@ -120,14 +120,29 @@ impl Drop for Caring {
     }
 }
 
+/// A pass that is drawn, and its account; its pixels may still be on their way.
+struct Drawn {
+    frame: PendingFrame,
+    adapter: Option<String>,
+    cache: proto::FrameCacheUse,
+}
+
 /// A pass and its account.
-pub struct Drawn {
+pub struct Pass {
     /// The pixels themselves.
     pub frame: Frame,
     /// What computed them; None on the CPU.
     pub adapter: Option<String>,
     /// What the cache did for it.
     pub cache: proto::FrameCacheUse,
+}
+
+impl Drawn {
+    /// Blocks until its pixels are here.
+    fn finish(self) -> Result<Pass, ApiError> {
+        let Self { frame, adapter, cache } = self;
+        Ok(Pass { frame: frame.finish()?, adapter, cache })
+    }
 }
 
 impl Frames {
@@ -219,7 +234,7 @@ impl Frames {
         };
         let (metrics, rooms) = (self.metrics.clone(), self.rooms.clone());
         let encoding = move || {
-            let mut still = Still::begin(order, drawn, queued, Held::by_call(admitted, slot, None));
+            let mut still = Still::begin(order, drawn.finish()?, queued, Held::by_call(admitted, slot, None));
             let encoded = encode(&mut still, &metrics)?;
             let goes_on = !still.is_done() && still.pixels().is_final;
             let room = goes_on.then(|| rooms.of_viewer_now(&still.order)).flatten();
@@ -240,7 +255,8 @@ impl Frames {
         let painter = Painter::of(&order.settings);
         let (admitted, work) = (self.admit(painter)?, self.pass(order.clone(), 0));
         let Rendered { value, queued, slot, admitted } = self.turn(painter, admitted, caller.who, caller.deadline, work).await?;
-        Ok(Still::begin(order, value?, queued, Held::by_call(admitted, slot, room)))
+        let drawn = value?;
+        blocking(move || Ok(Still::begin(order, drawn.finish()?, queued, Held::by_call(admitted, slot, room)))).await
     }
 
     /// The next pass of that still, in the place that it has.
@@ -254,9 +270,10 @@ impl Frames {
         let Rendered { value, queued, slot, admitted } = self.turn(painter, admitted, caller.who, caller.deadline, work).await?;
         let drawn = value?;
         blocking(move || {
-            still.add(&drawn, queued);
+            let pass = drawn.finish()?;
+            still.add(&pass, queued);
             still.held.admitted = Some(admitted);
-            drop((drawn, slot));
+            drop((pass, slot));
             Ok(still)
         })
         .await
@@ -271,18 +288,19 @@ impl Frames {
         };
         let (work, called) = (self.pass(order.clone(), still.as_ref().map_or(0, Still::passes)), Instant::now());
         let drawn = self.idle_turn(Painter::of(&order.settings), work).await??;
-        let queued = called.elapsed().saturating_sub(Duration::from_secs_f64(1e-3 * drawn.frame.stats.total_millis));
+        let queued = called.elapsed().saturating_sub(Duration::from_secs_f64(1e-3 * drawn.frame.stats().total_millis));
         blocking(move || {
+            let pass = drawn.finish()?;
             Ok(match still {
-                Some(mut still) if drawn.frame.pixels.is_final => {
-                    still.add(&drawn, queued);
+                Some(mut still) if pass.frame.pixels.is_final => {
+                    still.add(&pass, queued);
                     Some(still)
                 }
                 Some(mut still) => {
-                    still.note(&drawn, queued);
+                    still.note(&pass, queued);
                     Some(still)
                 }
-                None if drawn.frame.pixels.is_final => Some(Still::begin(order, drawn, queued, Held::by_viewer(room))),
+                None if pass.frame.pixels.is_final => Some(Still::begin(order, pass, queued, Held::by_viewer(room))),
                 None => None,
             })
         })
@@ -370,7 +388,7 @@ fn draw(brush: Brush<'_>, gpu: &Mutex<Option<GpuTier>>, order: &FrameOrder, pass
         (Brush::Renderer(renderer), None) => render(renderer, gpu, order, pass),
         (Brush::Tracers(tracers, abandoned), Some(truth)) => {
             let frame = tracers.trace(order, truth, pass, abandoned)?;
-            Ok(Drawn { frame, adapter: None, cache: proto::FrameCacheUse::default() })
+            Ok(Drawn { frame: frame.into(), adapter: None, cache: proto::FrameCacheUse::default() })
         }
         (Brush::Renderer(_), Some(_)) | (Brush::Tracers(..), None) => Err(ApiError::internal("a frame in another painter's turn")),
     }
@@ -390,19 +408,19 @@ fn render(renderer: &Renderer, gpu: &Mutex<Option<GpuTier>>, order: &FrameOrder,
     };
     let pages = FramePages::new(&order.version.pages);
     let (before, replaced) = (renderer.gpu_stats().unwrap_or_default(), renderer.devices_replaced());
-    let rendered = renderer.render(&order.version.representation, &pages, &request, backend);
+    let rendered = renderer.draw(&order.version.representation, &pages, &request, backend);
     note_gpu_tier(gpu, renderer);
     let frame = rendered?;
     if renderer.devices_replaced() > replaced {
         tracing::warn!(adapter = renderer.adapter(), "the graphics device was lost; another was opened");
     }
-    if let Some(reason) = &frame.stats.fallback {
+    if let Some(reason) = &frame.stats().fallback {
         tracing::debug!(dataset = order.version.dataset, reason, "the CPU stands in for the GPU");
     }
     let after = renderer.gpu_stats().unwrap_or_default();
-    let adapter_use = frame.stats.gpu.map(|frame| AdapterUse { before, after, frame });
+    let adapter_use = frame.stats().gpu.map(|frame| AdapterUse { before, after, frame });
     let cache = cache_use(&pages.asked(), adapter_use.as_ref());
-    let adapter = (frame.stats.backend == Backend::Gpu).then(|| renderer.adapter().unwrap_or_default());
+    let adapter = (frame.stats().backend == Backend::Gpu).then(|| renderer.adapter().unwrap_or_default());
     Ok(Drawn { frame, adapter, cache })
 }
 

@@ -128,7 +128,7 @@ fn assemble(effective: Effective, runtime: &tokio::runtime::Handle) -> anyhow::R
     let (queue, adapter) = start_rendering(&config)?;
     let render_thread = queue.ended();
     let (store, scene_bytes) = (catalog.store().clone(), config.job_scene_bytes);
-    let truths = RenderQueue::start(config.render_queue_length, "trace", move || Tracers::new(store.clone(), scene_bytes))?;
+    let truths = RenderQueue::start(config.render_queue_length, "trace", move || Tracers::new(store.clone(), scene_bytes), |_| ())?;
     let frames = Frames::new(queue, truths, metrics.clone());
     let limits = SpecLimits { max_pixels: config.max_pixels_per_frame, max_cameras: config.max_cameras_per_job };
     let work = Work {
@@ -188,7 +188,7 @@ fn start_rendering(config: &Config) -> anyhow::Result<(RenderQueue<Renderer>, Op
         let _ = told.send(adapter_of(&renderer));
         Ok::<_, anyhow::Error>(renderer)
     };
-    let queue = RenderQueue::start(config.render_queue_length, "render", make)?;
+    let queue = RenderQueue::start(config.render_queue_length, "render", make, |renderer| renderer.settle())?;
     let adapter = adapter.recv().context("the render thread ended early")?;
     match &adapter {
         Some(adapter) => tracing::info!(adapter = adapter.name, driver = adapter.driver, "rendering on the GPU"),

@@ -5,7 +5,8 @@
 //! encoding, so that finished pixels cannot pile up in memory). Viewers go before jobs, and whoever has waited longest goes first, so that
 //! sessions with one wish at a time get equally many frames; a larger frame of a picture that is there already stands half a second behind
 //! the others. Work whose caller has gone leaves the line; work whose deadline has passed is dropped before it starts. Idle work, a piece of
-//! each kind at a time, goes after everyone: it takes no place from a render, which waits for no more than the piece that has begun.
+//! each kind at a time, goes after everyone: it takes no place from a render, which waits for no more than the piece that has begun. What a render leaves
+//! to be done while the next one goes on is settled when none follows at once.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -157,9 +158,14 @@ pub struct Rendered<T> {
 }
 
 impl<R: 'static> RenderQueue<R> {
-    /// Starts the thread of that name; `make` makes the renderer on it, and again after a panic. `length` renders may wait.
-    /// Returns once the first renderer is made, with its error if it cannot be.
-    pub fn start<E: Send + 'static>(length: usize, name: &str, make: impl Fn() -> Result<R, E> + Send + 'static) -> Result<Self, E> {
+    /// Starts the thread of that name; `make` makes the renderer on it, and again after a panic; `settle` ends what renders have left to be
+    /// done beside the next one. `length` renders may wait. Returns once the first renderer is made, with its error if it cannot be.
+    pub fn start<E: Send + 'static>(
+        length: usize,
+        name: &str,
+        make: impl Fn() -> Result<R, E> + Send + 'static,
+        settle: impl Fn(&mut R) + Send + 'static,
+    ) -> Result<Self, E> {
         let state = State { renders: BinaryHeap::new(), arrivals: 0, idle: Default::default(), free_slots: SLOTS, is_closed: false };
         let line = Arc::new(Line { state: Mutex::new(state), changed: Condvar::new() });
         let door = Arc::new(Door(line.clone()));
@@ -171,7 +177,7 @@ impl<R: 'static> RenderQueue<R> {
                 match make() {
                     Ok(renderer) => {
                         let _ = ready.send(Ok(()));
-                        render_until_closed(renderer, make, &line);
+                        render_until_closed(renderer, &make, &settle, &line);
                     }
                     Err(error) => drop(ready.send(Err(error))),
                 }
@@ -304,6 +310,28 @@ impl<R> Line<R> {
         }
     }
 
+    /// The next render, if one waits and may begin.
+    fn next_render(self: &Arc<Self>) -> Option<Work<R>>
+    where
+        R: 'static,
+    {
+        let mut state = self.lock();
+        if state.is_closed { None } else { self.take_render(&mut state) }
+    }
+
+    fn take_render(self: &Arc<Self>, state: &mut State<R>) -> Option<Work<R>>
+    where
+        R: 'static,
+    {
+        if state.free_slots == 0 {
+            return None;
+        }
+        let Reverse(first) = state.renders.pop()?;
+        state.free_slots -= 1;
+        let slot = Slot(self.clone());
+        Some(Box::new(move |renderer| (first.render)(renderer, slot)))
+    }
+
     /// Waits for the next piece of work; None once nobody can bring any.
     fn next(self: &Arc<Self>) -> Option<Work<R>>
     where
@@ -314,12 +342,8 @@ impl<R> Line<R> {
             if state.is_closed {
                 return None;
             }
-            if state.free_slots > 0
-                && let Some(Reverse(first)) = state.renders.pop()
-            {
-                state.free_slots -= 1;
-                let slot = Slot(self.clone());
-                return Some(Box::new(move |renderer| (first.render)(renderer, slot)));
+            if let Some(render) = self.take_render(&mut state) {
+                return Some(render);
             }
             // Renders that wait for a slot go before what nobody waits for.
             if state.renders.is_empty()
@@ -398,8 +422,14 @@ impl<R> Ord for Waiting<R> {
 }
 
 /// Ends when every queue to the line is dropped, or no renderer can be made any more.
-fn render_until_closed<R: 'static, E>(mut renderer: R, make: impl Fn() -> Result<R, E>, line: &Arc<Line<R>>) {
-    while let Some(work) = line.next() {
+fn render_until_closed<R: 'static, E>(mut renderer: R, make: &dyn Fn() -> Result<R, E>, settle: &dyn Fn(&mut R), line: &Arc<Line<R>>) {
+    let next = |renderer: &mut R| {
+        line.next_render().or_else(|| {
+            settle(renderer);
+            line.next()
+        })
+    };
+    while let Some(work) = next(&mut renderer) {
         if catch_unwind(AssertUnwindSafe(|| work(&mut renderer))).is_ok() {
             continue;
         }

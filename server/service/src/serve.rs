@@ -7,7 +7,8 @@ use std::time::Duration;
 
 use anyhow::Context;
 use http::{HeaderName, HeaderValue, Method};
-use tokio::net::TcpListener;
+use tokio::net::{TcpListener, TcpStream};
+use tokio_stream::StreamExt as _;
 use tonic::service::Routes;
 use tonic::transport::server::TcpIncoming;
 use tonic::transport::{Identity, Server, ServerTlsConfig};
@@ -43,6 +44,9 @@ const MAX_CONCURRENT_STREAMS: u32 = 256;
 /// Window of a stream and of a connection for what clients send: several chunks of a blob.
 const STREAM_WINDOW_BYTES: u32 = 4 << 20;
 const CONNECTION_WINDOW_BYTES: u32 = 8 << 20;
+/// Of a connection, what the kernel holds that is not on the wire yet. A frame waits for no more of a download's bytes than these; the rest
+/// waits in its own stream, in turn with the frame's.
+const UNSENT_BYTES: u32 = 64 << 10;
 /// Metadata of a request.
 const MAX_HEADER_BYTES: u32 = 16 << 10;
 /// Streams that a client opens and resets at once before anyone has looked at them; more end its connection ("rapid reset").
@@ -81,7 +85,8 @@ pub async fn serve(app: Arc<App>, grace: Duration) -> anyhow::Result<()> {
         .with_nodelay(Some(true))
         .with_keepalive(Some(KEEPALIVE_INTERVAL))
         .with_keepalive_interval(Some(KEEPALIVE_TIMEOUT / KEEPALIVE_RETRIES))
-        .with_keepalive_retries(Some(KEEPALIVE_RETRIES));
+        .with_keepalive_retries(Some(KEEPALIVE_RETRIES))
+        .map(|accepted| accepted.inspect(hold_little));
     let grpc_served = builder
         .accept_http1(true)
         .http2_keepalive_interval(Some(KEEPALIVE_INTERVAL))
@@ -109,6 +114,14 @@ pub async fn serve(app: Arc<App>, grace: Duration) -> anyhow::Result<()> {
         ended = http_served => ended.context("cannot serve HTTP")?,
     }
     Ok(())
+}
+
+/// Where it cannot be set, frames wait longer beside a download: nothing else.
+fn hold_little(connection: &TcpStream) {
+    #[cfg(any(target_os = "linux", target_os = "android"))]
+    if let Err(error) = socket2::SockRef::from(connection).set_tcp_notsent_lowat(UNSENT_BYTES) {
+        tracing::debug!(%error, "TCP_NOTSENT_LOWAT");
+    }
 }
 
 async fn bind(address: SocketAddr) -> anyhow::Result<TcpListener> {

@@ -12,7 +12,7 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::time::{Instant, timeout_at};
 
 use crate::errors::{ApiError, Reason};
-use crate::frames::{Caller, Drawn, FrameOrder};
+use crate::frames::{Caller, FrameOrder, Pass};
 use crate::render_queue::{Priority, Slot};
 use crate::telemetry::Metrics;
 use crate::wire::frames::add_cache_use;
@@ -140,17 +140,17 @@ impl Drop for Room {
 
 impl Still {
     /// After pass 0, whose work waited for `queued`.
-    pub fn begin(order: FrameOrder, first: Drawn, queued: Duration, held: Held) -> Self {
+    pub fn begin(order: FrameOrder, first: Pass, queued: Duration, held: Held) -> Self {
         let stats = &first.frame.stats;
         let (backend, device_bytes, millis) = (stats.backend, stats.device_bytes, stats.total_millis);
         let mut timings = timings(&first, queued);
         timings.pages_micros += order.opening_micros;
-        let Drawn { frame, adapter, cache } = first;
+        let Pass { frame, adapter, cache } = first;
         Self { order, backend, adapter, device_bytes, millis, held, mean: Accumulator::new(frame.pixels), timings, cache }
     }
 
     /// Adds the next pass.
-    pub fn add(&mut self, pass: &Drawn, queued: Duration) {
+    pub fn add(&mut self, pass: &Pass, queued: Duration) {
         self.mean.add(&pass.frame.pixels);
         self.note(pass, queued);
         self.millis += pass.frame.stats.total_millis;
@@ -161,7 +161,7 @@ impl Still {
     }
 
     /// Counts the work of a pass that is not added.
-    pub fn note(&mut self, pass: &Drawn, queued: Duration) {
+    pub fn note(&mut self, pass: &Pass, queued: Duration) {
         let more = timings(pass, queued);
         self.timings.queue_micros += more.queue_micros;
         self.timings.pages_micros += more.pages_micros;
@@ -190,8 +190,8 @@ impl Still {
     }
 }
 
-fn timings(drawn: &Drawn, queued: Duration) -> proto::FrameTimings {
-    let stats = &drawn.frame.stats;
+fn timings(pass: &Pass, queued: Duration) -> proto::FrameTimings {
+    let stats = &pass.frame.stats;
     let prepare_micros = (1e3 * stats.prepare_millis) as u64;
     proto::FrameTimings {
         queue_micros: queued.as_micros() as u64,

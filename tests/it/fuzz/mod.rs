@@ -37,7 +37,7 @@ fn open() -> wire::OpenInteraction {
         settings: Some(settings(Component::Full, Blend::Corrected)),
         output: Some(output(wire::Encoding::Jpeg)),
         credits: 2,
-        moving_frames_per_second: 30.0,
+        moving_frames_per_second: Some(30.0),
     }
 }
 

@@ -5,6 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use super::GpuError;
+use super::meanwhile::Meanwhile;
 
 /// An open graphics device and its queue.
 #[derive(Debug)]
@@ -17,6 +18,7 @@ pub struct Gpu {
     // First failure that no call has reported yet.
     failure: Arc<Mutex<Option<String>>>,
     is_lost: Arc<AtomicBool>,
+    meanwhile: Meanwhile,
 }
 
 impl Gpu {
@@ -43,7 +45,7 @@ impl Gpu {
         let info = adapter.get_info();
         let driver = format!("{} {}, {:?}", info.driver, info.driver_info, info.backend);
         let is_software = info.device_type == wgpu::DeviceType::Cpu;
-        Ok(Self { device, queue, adapter: info.name, driver, is_software, failure, is_lost })
+        Ok(Self { device, queue, adapter: info.name, driver, is_software, failure, is_lost, meanwhile: Meanwhile::default() })
     }
 
     /// Whether the processor does the work.
@@ -69,9 +71,10 @@ impl Gpu {
     /// As when the adapter is taken away.
     #[doc(hidden)]
     pub fn lose(&self) {
+        self.settle();
         self.device.destroy();
         // The loss is told while the device is polled.
-        let _ = self.device.poll(wgpu::PollType::Poll);
+        let _ = self.poll(wgpu::PollType::Poll);
     }
 
     pub(crate) fn device(&self) -> &wgpu::Device {
@@ -84,11 +87,28 @@ impl Gpu {
 
     /// Waits until everything submitted is done.
     pub(crate) fn wait(&self) -> Result<(), GpuError> {
-        // A device that is lost in the middle of the wait makes wgpu panic.
-        let waited = catch_unwind(AssertUnwindSafe(|| self.device.poll(wgpu::PollType::wait_indefinitely())));
-        let Ok(waited) = waited else { return Err(GpuError::Failed { reason: "the device was lost while it was waited for".into() }) };
-        waited.map_err(|e| GpuError::Failed { reason: e.to_string() })?;
+        self.poll(wgpu::PollType::wait_indefinitely())?;
         self.check()
+    }
+
+    /// Does what is to be done [meanwhile](Self::meanwhile), then asks the device what it has done.
+    pub(crate) fn poll(&self, how: wgpu::PollType) -> Result<(), GpuError> {
+        self.settle();
+        // A device that is lost in the middle of the wait makes wgpu panic.
+        let polled = catch_unwind(AssertUnwindSafe(|| self.device.poll(how)));
+        let Ok(polled) = polled else { return Err(GpuError::Failed { reason: "the device was lost while it was waited for".into() }) };
+        polled.map(drop).map_err(|e| GpuError::Failed { reason: e.to_string() })
+    }
+
+    /// Does `work`, quick and without use of the device, when the device is next waited for and has work of its own, or in [`Self::settle`].
+    /// Mapped memory may be read in it: a lost device is torn down by a poll alone, and no poll comes before.
+    pub(crate) fn meanwhile(&self, work: impl FnOnce() + Send + 'static) {
+        self.meanwhile.add(work);
+    }
+
+    /// Does at once what was put off.
+    pub(crate) fn settle(&self) {
+        self.meanwhile.run();
     }
 
     /// Lets the device free what was written to and dropped without a submission, which it otherwise keeps until the next one.

@@ -58,12 +58,12 @@ impl UploadRing {
         let failed = |reason: String| GpuError::Failed { reason };
         if let Some(submission_index) = half.busy.take() {
             let wait = wgpu::PollType::Wait { submission_index: Some(submission_index), timeout: None };
-            gpu.device().poll(wait).map_err(|e| failed(e.to_string()))?;
+            gpu.poll(wait)?;
         }
         let bytes = count as u64 * self.page_bytes;
         let (sender, mapped) = std::sync::mpsc::channel();
         half.buffer.map_async(wgpu::MapMode::Write, 0..bytes, move |outcome| drop(sender.send(outcome)));
-        gpu.device().poll(wgpu::PollType::Poll).map_err(|e| failed(e.to_string()))?;
+        gpu.poll(wgpu::PollType::Poll)?;
         mapped.recv().map_err(|e| failed(e.to_string()))?.map_err(|e| failed(e.to_string()))?;
         let mut view = half.buffer.get_mapped_range_mut(0..bytes).map_err(|e| failed(e.to_string()))?;
         let mut encoder = gpu.device().create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("upload pages") });

@@ -113,6 +113,8 @@ impl GpuTier {
         if let Some((_, _, error)) = self.refused.iter().find(|(r, tried, _)| Arc::ptr_eq(r, representation) && room <= *tried) {
             return Err(error.clone());
         }
+        // What was drawn before shall not wait for a kernel.
+        gpu.settle();
         let mut kernel = match representation.clone().gpu_kernel(gpu, room) {
             Ok(kernel) => kernel,
             Err(error) => {

@@ -1,19 +1,23 @@
 //! A frame's pixels from the device, band by band, in the layout of `band.wgsl`'s output: R, G, B of each pixel; then all distances; then
 //! provenance.
 
+use std::mem;
 use std::ops::Range;
+use std::sync::{Arc, Mutex, PoisonError, mpsc};
+use std::time::Instant;
 
 use bytemuck::Pod;
 
 use super::g_buffer::{BAND_BYTES_PER_PIXEL, Band, OUTPUT_WORDS, Rasterizer};
-use super::{FrameRequest, Outputs, Pixels, Provenance};
+use super::pending_pixels::{PendingPixels, Rows};
+use super::{FrameRequest, Outputs};
 use crate::geometry::Camera;
-use crate::gpu::{Gpu, GpuError, ReadBack, Shader};
+use crate::gpu::{Gpu, GpuError, ReadBackPair, Shader};
 
 /// A band has at most this many pixels: 32 MiB on the device with everything that grows with it.
 pub(crate) const MAX_BAND_PIXELS: u32 = 1 << 19;
-/// Of a band, with the copy of the output that is read back.
-pub(crate) const BYTES_PER_PIXEL: u64 = BAND_BYTES_PER_PIXEL + 4 * OUTPUT_WORDS;
+/// Of a band, with two copies of the output, which are read back in turn.
+pub(crate) const BYTES_PER_PIXEL: u64 = BAND_BYTES_PER_PIXEL + 2 * 4 * OUTPUT_WORDS;
 /// Of the largest band.
 pub(crate) const BAND_BYTES: u64 = MAX_BAND_PIXELS as u64 * BYTES_PER_PIXEL;
 
@@ -33,7 +37,7 @@ pub(crate) fn bands(gpu: &Gpu, camera: &Camera) -> Result<impl Iterator<Item = (
 pub(crate) struct BoundBand {
     pub band: Band,
     pub resources: wgpu::BindGroup,
-    pub read_back: ReadBack,
+    pub read_back: ReadBackPair,
 }
 
 impl BoundBand {
@@ -50,19 +54,17 @@ impl BoundBand {
         *slot = None;
         let band = rasterizer.band(gpu, width, rows);
         let resources = rasterizer.bind_band(gpu, shader, &band);
-        let read_back = ReadBack::new(gpu, "output", band.output().size());
+        let read_back = ReadBackPair::new(gpu, "output", band.output().size());
         gpu.check()?;
         *slot = Some(Self { band, resources, read_back });
         Ok(())
     }
 }
 
-/// The rows that have been read so far.
+/// A frame's rows, band by band: each is copied out of the device's buffer while the device draws the next, or the next frame.
 pub(crate) struct FrameOutput {
     outputs: Outputs,
-    color: Vec<f32>,
-    depth: Vec<f32>,
-    provenance: Vec<Provenance>,
+    rows: Arc<Mutex<Rows>>,
 }
 
 impl FrameOutput {
@@ -70,39 +72,50 @@ impl FrameOutput {
     pub fn new(request: &FrameRequest<'_>) -> Self {
         let intrinsics = request.camera.intrinsics();
         let pixels = intrinsics.width_px as usize * intrinsics.height_px as usize;
-        let (color, depth, provenance) = (Vec::with_capacity(3 * pixels), Vec::new(), Vec::new());
-        Self { outputs: request.outputs, color, depth, provenance }
+        let rows = Rows { color: Vec::with_capacity(3 * pixels), ..Rows::default() };
+        Self { outputs: request.outputs, rows: Arc::new(Mutex::new(rows)) }
     }
 
     /// Records the copy of what was asked for of a band that is done.
-    pub fn copy(outputs: Outputs, encoder: &mut wgpu::CommandEncoder, band: &Band, read_back: &ReadBack) {
+    pub fn copy(outputs: Outputs, encoder: &mut wgpu::CommandEncoder, bound: &BoundBand) {
+        let (band, read_back) = (&bound.band, bound.read_back.next());
         for range in wanted_ranges(band.pixels(), outputs) {
             encoder.copy_buffer_to_buffer(band.output(), range.start, read_back.buffer(), range.start, range.end - range.start);
         }
     }
 
-    /// Waits for a band that was copied, and appends it.
-    pub fn read(&mut self, gpu: &Gpu, band: &Band, read_back: &ReadBack) -> Result<(), GpuError> {
-        let pixels = band.pixels() as usize;
-        let last = wanted_ranges(band.pixels(), self.outputs).last().map_or(0, |r| r.end);
-        let range = 0..last.next_multiple_of(wgpu::MAP_ALIGNMENT).min(read_back.bytes());
-        read_back.request(range).finish(gpu, |bytes| {
-            // Mapped memory is aligned to 8 bytes; extend_from_bytes does not depend on it.
-            extend_from_bytes(&mut self.color, &bytes[..12 * pixels]);
-            if self.outputs.depth {
-                extend_from_bytes(&mut self.depth, &bytes[12 * pixels..16 * pixels]);
-            }
-            if self.outputs.provenance {
-                extend_from_bytes(&mut self.provenance, &bytes[16 * pixels..20 * pixels]);
-            }
-        })
+    /// Waits for a band that was copied; appends it when the device is next waited for.
+    pub fn read(&self, gpu: &Gpu, bound: &mut BoundBand) -> Result<(), GpuError> {
+        let (outputs, pixels) = (self.outputs, bound.band.pixels() as usize);
+        let last = wanted_ranges(bound.band.pixels(), outputs).last().map_or(0, |r| r.end);
+        let range = 0..last.next_multiple_of(wgpu::MAP_ALIGNMENT).min(bound.read_back.next().bytes());
+        let mapped = bound.read_back.next().request(range).arrive(gpu)?;
+        bound.read_back.turn();
+        let rows = self.rows.clone();
+        gpu.meanwhile(move || rows.lock().unwrap_or_else(PoisonError::into_inner).append(mapped.bytes(), pixels, outputs));
+        Ok(())
     }
 
-    /// The frame.
-    pub fn into_pixels(self, pages_needed: usize, is_final: bool) -> Pixels {
-        let depth = self.outputs.depth.then_some(self.depth);
-        let provenance = self.outputs.provenance.then_some(self.provenance);
-        Pixels { color: self.color, depth, provenance, pages_needed, is_final }
+    /// The frame, after its last band.
+    pub fn into_pixels(self, gpu: &Gpu, pages_needed: usize, is_final: bool) -> PendingPixels {
+        let (sender, rows) = mpsc::channel();
+        // A receiver that is gone wants no pixels.
+        gpu.meanwhile(move || drop(sender.send(mem::take(&mut *self.rows.lock().unwrap_or_else(PoisonError::into_inner)))));
+        PendingPixels::coming(rows, self.outputs, pages_needed, is_final)
+    }
+}
+
+impl Rows {
+    fn append(&mut self, bytes: &[u8], pixels: usize, outputs: Outputs) {
+        let begin = Instant::now();
+        extend_from_bytes(&mut self.color, &bytes[..12 * pixels]);
+        if outputs.depth {
+            extend_from_bytes(&mut self.depth, &bytes[12 * pixels..16 * pixels]);
+        }
+        if outputs.provenance {
+            extend_from_bytes(&mut self.provenance, &bytes[16 * pixels..20 * pixels]);
+        }
+        self.copying_millis += 1e3 * begin.elapsed().as_secs_f64();
     }
 }
 

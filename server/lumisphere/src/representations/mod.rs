@@ -9,6 +9,7 @@ mod g_buffer;
 pub mod offset_surface_light_field;
 mod page_source;
 pub mod parameter_map;
+mod pending_pixels;
 mod provenance;
 mod requests;
 
@@ -33,6 +34,7 @@ use offset_surface_light_field as oslf;
 #[cfg(test)]
 pub(crate) use page_source::MemoryPages;
 pub use page_source::{CachedPages, CountingReader, CountingSource, Fetched, PageSource, PageUse, TexelReader, WholePages};
+pub use pending_pixels::PendingPixels;
 pub use provenance::{Answer, Provenance};
 pub use requests::{Lobe, PixelOrder, Recording, RequestTrace, TexelRequest};
 
@@ -306,8 +308,19 @@ pub trait CpuKernel: Send + Sync {
 /// Renders frames of one dataset on the GPU.
 #[cfg(feature = "gpu")]
 pub trait GpuKernel: Send {
-    /// One frame; blocks. `RenderError::Gpu` means that the CPU might still do it.
-    fn render(&mut self, request: &FrameRequest<'_>, pages: &CountingSource<'_>) -> Result<(Pixels, GpuFrameStats), RenderError>;
+    /// One frame, of which the last pixels may come later; blocks. `RenderError::Gpu` means that the CPU might still do it.
+    fn draw(&mut self, request: &FrameRequest<'_>, pages: &CountingSource<'_>) -> Result<(PendingPixels, GpuFrameStats), RenderError>;
+
+    /// What it draws on.
+    fn gpu(&self) -> &Gpu;
+
+    /// The same with its pixels; blocks until they are here.
+    fn render(&mut self, request: &FrameRequest<'_>, pages: &CountingSource<'_>) -> Result<(Pixels, GpuFrameStats), RenderError> {
+        let (pending, stats) = self.draw(request, pages)?;
+        self.gpu().settle();
+        let (pixels, copying_millis) = pending.finish()?;
+        Ok((pixels, GpuFrameStats { read_back_millis: stats.read_back_millis + copying_millis, ..stats }))
+    }
 
     /// Pages that such a frame would miss, at most `upload_bytes` of texels: a guess that reads nothing. None before the first frame.
     fn look_ahead(&mut self, request: &FrameRequest<'_>, upload_bytes: u64) -> Result<Vec<PageId>, RenderError>;

@@ -8,7 +8,7 @@ use crossbeam_channel::Sender;
 use super::*;
 
 fn queue(length: usize) -> RenderQueue<u32> {
-    RenderQueue::start(length, "render", || Ok::<u32, Infallible>(0)).unwrap()
+    RenderQueue::start(length, "render", || Ok::<u32, Infallible>(0), |_| ()).unwrap()
 }
 
 /// Occupies the thread until the sender is dropped or used.
@@ -98,6 +98,60 @@ async fn viewers_go_before_jobs() {
     release.send(()).unwrap();
     held.await.unwrap();
     assert_eq!(tokio::join!(job, viewer), (2, 1));
+}
+
+/// What it has done, and what it has put off: a render puts off its own end, and a later one does it beside its own work.
+#[derive(Default)]
+struct Log {
+    done: Arc<Mutex<Vec<String>>>,
+    put_off: Vec<String>,
+}
+
+impl Log {
+    fn settle(&mut self) {
+        self.done.lock().unwrap().extend(self.put_off.drain(..).map(|what| format!("{what} settled")));
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_a_render_leaves_is_settled_when_none_follows_at_once() {
+    let done = Arc::new(Mutex::new(Vec::new()));
+    let make = {
+        let done = done.clone();
+        move || Ok::<_, Infallible>(Log { done: done.clone(), put_off: Vec::new() })
+    };
+    let queue = RenderQueue::start(8, "render", make, Log::settle).unwrap();
+    let (release, released) = bounded::<()>(1);
+    let (begun, has_begun) = bounded::<()>(1);
+    let render = |name: &'static str| {
+        let queue = queue.clone();
+        async move {
+            let work = move |log: &mut Log| {
+                log.done.lock().unwrap().push(name.into());
+                log.put_off.push(name.into());
+            };
+            queue.run(Priority::Viewer, None, work).await.map(drop).unwrap();
+        }
+    };
+    let holding = queue.clone();
+    let held = tokio::spawn(async move {
+        let work = move |_: &mut Log| {
+            let _ = begun.send(());
+            let _ = released.recv();
+        };
+        holding.run(Priority::Viewer, None, work).await.map(drop).unwrap();
+    });
+    tokio::task::block_in_place(|| has_begun.recv().unwrap());
+    let idle = queue.run_idle(Idle::Ahead, |log| log.done.lock().unwrap().push("idle".into()));
+    let (mut a, mut b, mut idle) = (Box::pin(render("a")), Box::pin(render("b")), Box::pin(idle));
+    // In line while the thread is held.
+    assert!(futures_poll_once(a.as_mut()).await.is_none() && futures_poll_once(b.as_mut()).await.is_none());
+    assert!(futures_poll_once(idle.as_mut()).await.is_none());
+    release.send(()).unwrap();
+    held.await.unwrap();
+    let ((), (), idle) = tokio::join!(a, b, idle);
+    idle.unwrap();
+    assert_eq!(*done.lock().unwrap(), ["a", "b", "a settled", "b settled", "idle"]);
 }
 
 async fn futures_poll_once<F: Future>(future: std::pin::Pin<&mut F>) -> Option<F::Output> {

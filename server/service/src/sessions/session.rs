@@ -39,6 +39,8 @@ use proto::interact_response::Message as Down;
 
 const DEFAULT_CREDITS: u32 = 2;
 const MAX_CREDITS: u32 = 16;
+/// Of frames per second.
+const DEFAULT_MOVING_RATE: f32 = 30.0;
 /// A wish that found the render queue full tries again after this time.
 const QUEUE_RETRY: Duration = Duration::from_millis(20);
 /// Frames per second that a moving viewer may ask for.
@@ -165,7 +167,7 @@ impl Session {
         let settings = render_settings(open.settings, "open.settings")?;
         let output = output(open.output, Delivery::Stream, "open.output")?;
         let credits = wire::count(open.credits, DEFAULT_CREDITS, 1, MAX_CREDITS, "open.credits")?;
-        let moving = Moving::at(open.moving_frames_per_second, "open.moving_frames_per_second")?;
+        let moving = Moving::at(open.moving_frames_per_second.unwrap_or(DEFAULT_MOVING_RATE), "open.moving_frames_per_second")?;
         let dataset = wire::dataset_name(&open.dataset, "open.dataset")?;
         let catalog = stage.catalog.clone();
         let version = blocking(move || catalog.open_version(&dataset, open.version)).await?;

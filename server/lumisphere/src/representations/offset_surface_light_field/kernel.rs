@@ -22,7 +22,7 @@ use crate::radiometry::dielectric::Body;
 use crate::representations::frame_output::{BAND_BYTES, BYTES_PER_PIXEL, BoundBand, MAX_BAND_PIXELS};
 use crate::representations::g_buffer::{ProxyGeometry, Rasterizer, band_entries, object_entries};
 use crate::representations::page_source::CountingSource;
-use crate::representations::{FrameRequest, GpuFrameStats, GpuKernel, Original, Pixels, RenderError, UploadUnit};
+use crate::representations::{FrameRequest, GpuFrameStats, GpuKernel, Original, PendingPixels, RenderError, UploadUnit};
 use crate::scenes::MOST_POINT_LIGHTS;
 use crate::textures::{Page, PageId, PixelFormat, PolicyKind};
 use light::LightTextures;
@@ -327,6 +327,8 @@ impl Kernel {
         if self.atlas.is_some() {
             return Ok(());
         }
+        // The frame before shall not wait for what only this one needs; so wherever something is made.
+        self.gpu.settle();
         let first = pages.page(PageId(0))?.shape();
         self.field.check_page(0, first)?;
         let (coarse, shape) = self.plan(first.pixel, self.atlas_budget()?);
@@ -395,14 +397,21 @@ impl Kernel {
             ("TURNED", f64::from(u8::from(settings.light.turns()))),
             ("RELIT", f64::from(u8::from(settings.light.changes_light()))),
         ];
+        if !self.pipelines.contains_key(&key) {
+            self.gpu.settle();
+        }
         self.pipelines.entry(key).or_insert_with(|| self.shader.compute_pipeline(&self.gpu, "shade", &constants));
         key
     }
 }
 
 impl GpuKernel for Kernel {
-    fn render(&mut self, request: &FrameRequest<'_>, pages: &CountingSource<'_>) -> Result<(Pixels, GpuFrameStats), RenderError> {
-        self.draw(request, pages)
+    fn draw(&mut self, request: &FrameRequest<'_>, pages: &CountingSource<'_>) -> Result<(PendingPixels, GpuFrameStats), RenderError> {
+        self.draw_frame(request, pages)
+    }
+
+    fn gpu(&self) -> &Gpu {
+        &self.gpu
     }
 
     fn look_ahead(&mut self, request: &FrameRequest<'_>, upload_bytes: u64) -> Result<Vec<PageId>, RenderError> {

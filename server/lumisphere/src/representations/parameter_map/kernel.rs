@@ -14,7 +14,7 @@ use crate::gpu::{Gpu, GpuCacheStats, GpuError, Shader, binding, empty_table, tab
 use crate::representations::frame_output::{BAND_BYTES, BYTES_PER_PIXEL, BoundBand, FrameOutput, MAX_BAND_PIXELS, bands};
 use crate::representations::g_buffer::{ProxyGeometry, Rasterizer, band_entries, object_entries};
 use crate::representations::page_source::CountingSource;
-use crate::representations::{FrameRequest, GpuFrameStats, GpuKernel, Pixels, RenderError, Settings as AnySettings, UploadUnit};
+use crate::representations::{FrameRequest, GpuFrameStats, GpuKernel, PendingPixels, RenderError, Settings as AnySettings, UploadUnit};
 use crate::textures::{Page, PageId, PixelFormat, PolicyKind};
 
 /// All of `kernel.wgsl`'s source.
@@ -118,6 +118,8 @@ impl Kernel {
             self.stats.hits += count;
             return Ok(0);
         }
+        // The frame before shall not wait for them.
+        self.gpu.settle();
         self.check_budget()?;
         let format = match self.map.parameters.pixel_format {
             PixelFormat::F16 => wgpu::TextureFormat::Rgba16Float,
@@ -150,7 +152,7 @@ impl Kernel {
         &mut self,
         request: &FrameRequest<'_>,
         (first_row, rows): (u32, u32),
-        output: &mut FrameOutput,
+        output: &FrameOutput,
         stats: &mut GpuFrameStats,
     ) -> Result<(), RenderError> {
         let begin = Instant::now();
@@ -165,12 +167,12 @@ impl Kernel {
         pass.set_pipeline(&self.pipeline);
         bound.band.dispatch_over_object(&mut pass);
         drop(pass);
-        FrameOutput::copy(request.outputs, &mut encoder, &bound.band, &bound.read_back);
+        FrameOutput::copy(request.outputs, &mut encoder, bound);
         self.gpu.queue().submit([encoder.finish()]);
         self.gpu.wait()?;
         stats.gpu_millis += millis_since(begin);
         let begin = Instant::now();
-        output.read(&self.gpu, &bound.band, &bound.read_back)?;
+        output.read(&self.gpu, self.band.as_mut().expect("made above"))?;
         stats.read_back_millis += millis_since(begin);
         Ok(())
     }
@@ -184,7 +186,11 @@ impl Kernel {
 }
 
 impl GpuKernel for Kernel {
-    fn render(&mut self, request: &FrameRequest<'_>, pages: &CountingSource<'_>) -> Result<(Pixels, GpuFrameStats), RenderError> {
+    fn gpu(&self) -> &Gpu {
+        &self.gpu
+    }
+
+    fn draw(&mut self, request: &FrameRequest<'_>, pages: &CountingSource<'_>) -> Result<(PendingPixels, GpuFrameStats), RenderError> {
         let AnySettings::ParameterMap(settings) = request.settings else {
             return Err(RenderError::OtherKind { settings: request.settings.kind() });
         };
@@ -200,11 +206,11 @@ impl GpuKernel for Kernel {
         };
         let uniform = ShadingUniform { size: self.map.texels.size as u32, show_what };
         self.gpu.queue().write_buffer(&self.shading, 0, bytemuck::bytes_of(&uniform));
-        let mut output = FrameOutput::new(request);
+        let output = FrameOutput::new(request);
         for band in bands {
-            self.draw_band(request, band, &mut output, &mut stats)?;
+            self.draw_band(request, band, &output, &mut stats)?;
         }
-        Ok((output.into_pixels(self.map.page_count(), true), stats))
+        Ok((output.into_pixels(&self.gpu, self.map.page_count(), true), stats))
     }
 
     // All pages come with the first frame.

@@ -19,7 +19,7 @@ use crate::directions::FACES;
 use crate::gpu::{Gpu, GpuError, Upload, conform};
 use crate::representations::frame_output::{self, FrameOutput};
 use crate::representations::page_source::CountingSource;
-use crate::representations::{FrameRequest, GpuFrameStats, Pixels, Refine, RenderError, Settings as AnySettings};
+use crate::representations::{FrameRequest, GpuFrameStats, PendingPixels, Refine, RenderError, Settings as AnySettings};
 use crate::textures::PageId;
 
 // At most this many decoded pages wait for their upload.
@@ -89,7 +89,11 @@ impl Kernel {
         if needed > limit { Err(GpuError::BeyondLimit { what, needed, limit }) } else { Ok(()) }
     }
 
-    pub(super) fn draw(&mut self, request: &FrameRequest<'_>, pages: &CountingSource<'_>) -> Result<(Pixels, GpuFrameStats), RenderError> {
+    pub(super) fn draw_frame(
+        &mut self,
+        request: &FrameRequest<'_>,
+        pages: &CountingSource<'_>,
+    ) -> Result<(PendingPixels, GpuFrameStats), RenderError> {
         let AnySettings::OffsetSurfaceLightField(settings) = request.settings else {
             return Err(RenderError::OtherKind { settings: request.settings.kind() });
         };
@@ -130,7 +134,7 @@ impl Kernel {
         }
         let FrameInProgress { output, wanted, wanted_count, is_final, stats, .. } = frame;
         self.last_wanted = wanted;
-        Ok((output.into_pixels(wanted_count, is_final), stats))
+        Ok((output.into_pixels(&self.gpu, wanted_count, is_final), stats))
     }
 
     fn draw_band(&mut self, frame: &mut FrameInProgress<'_, '_>, first_row: u32, rows: u32) -> Result<(), RenderError> {
@@ -203,8 +207,7 @@ impl Kernel {
         fidelity: Fidelity,
     ) {
         self.record_shading(&mut encoder, frame.settings, pixels, fidelity, 1);
-        let bound = self.band.as_ref().expect("made before");
-        FrameOutput::copy(frame.request.outputs, &mut encoder, &bound.band, &bound.read_back);
+        FrameOutput::copy(frame.request.outputs, &mut encoder, self.band.as_ref().expect("made before"));
         gpu.queue().submit([encoder.finish()]);
     }
 
@@ -335,8 +338,7 @@ impl Kernel {
 
     fn read_band(&mut self, frame: &mut FrameInProgress<'_, '_>) -> Result<(), RenderError> {
         let begin = Instant::now();
-        let bound = self.band.as_ref().expect("made before");
-        frame.output.read(&self.gpu, &bound.band, &bound.read_back)?;
+        frame.output.read(&self.gpu, self.band.as_mut().expect("made before"))?;
         frame.stats.read_back_millis += millis_since(begin);
         Ok(())
     }

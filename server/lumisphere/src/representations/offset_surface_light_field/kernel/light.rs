@@ -90,6 +90,7 @@ impl Kernel {
         if !settings.light.changes_light() {
             return Ok(());
         }
+        self.gpu.settle();
         let before = self.light_textures.bytes() + self.light_tables.bytes();
         let (environment, irradiances) = LightTables::texels(&self.field, settings);
         let needed = LightTables::bytes_for(&self.field, settings)

@@ -60,6 +60,7 @@ impl Kernel {
         if let Some((_, error)) = self.tree.refused.as_ref().filter(|(tried, _)| room <= *tried) {
             return Err(error.clone().into());
         }
+        self.gpu.settle();
         let field = &self.field;
         let geometry = ProxyGeometry::new(&field.surface.mesh, &field.surface.part_of_triangle, &field.background);
         let tree = ObjectTree::new(Arc::new(geometry));

@@ -2,32 +2,36 @@
 //!
 //! `cargo build --release --workspace --bins && cargo bench -p lumisphere-tests --bench viewers`; parts after `--` run only these:
 //! - `motion`: from a pose to its decoded frame, 640 × 480, mirror reflection, JPEG, one credit: median within 10 ms of the server's own
-//!   time, 99 % within twice the median. Then frames a second with two credits, against one divided by the server's own time: at least .95.
+//!   time, 99 % within twice the median.
 //! - `delivery`: the same less the rendering, frames a second with two credits, and the server's memory while a viewer sends poses and reads
 //!   nothing: to be held beside `docs/rivals/viser_frames.py`, whose frames are rendered beforehand.
 //! - `fairness`: eight viewers beside one: Jain's index at least .95, all together at least .9 of one's frames.
+//! - `alone`: frames a second with two credits beside those of the renderer alone in this process, in turn: at least .95.
 //! - `link`: the same frames through a proxy of 5 Mbit/s and 100 ms there and back: what a frame waits for others, 95 %, at most its own
 //!   time on the link; at least .8 of the link is used.
+//! - `rate`: 30 frames a second of 640 × 480 asked for, over links of 1000, 20, 5 and 2 Mbit/s: frames are made smaller until they come so fast.
+//! - `bulk`: what a download over the same link, of the same connection and of another, leaves of the frames: at least .4 of their rate alone.
 //! - `idle`: what 32 viewers at rest cost: at most a hundredth of a core.
 //! - `soak`: 200 sessions of small frames, one in ten mute, for `SOAK_SECONDS` (600): memory grows by at most 1 MB a minute, nobody
 //!   starves, the mute ones are ended.
 
 // Most of the tests' helpers are not needed here.
 #[allow(dead_code)]
-#[path = "../it/process.rs"]
+#[path = "../../it/process.rs"]
 mod process;
 
-use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+mod alone;
+mod link;
+mod soak;
+
 use std::time::{Duration, Instant};
 
 use lumisphere::images::{ReadLimits, decode_image_codes};
 use lumisphere_proto::v1alpha1 as wire;
-use tokio::io::{AsyncReadExt, AsyncWriteExt};
-use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::Streaming;
+use tonic::transport::Channel;
 use wire::interact_request::Message as Up;
 use wire::interact_response::Message as Down;
 use wire::offset_surface_light_field_settings::{Blend, Component};
@@ -40,15 +44,10 @@ const WARM_UP: usize = 8;
 const RUNS: usize = 101;
 /// Of `fairness` and `link`.
 const SECONDS: Duration = Duration::from_secs(15);
-const BITS_PER_SECOND: f64 = 5e6;
-const ROUND_TRIP: Duration = Duration::from_millis(100);
 /// Between two poses of one who moves: a screen's.
 const POSE: Duration = Duration::from_millis(16);
 /// Of a viewer that reads nothing: shorter than the server's patience with it.
 const STALL: Duration = Duration::from_secs(45);
-/// How late timers may fire.
-const TIMER: Duration = Duration::from_millis(5);
-const SESSIONS: u64 = 200;
 /// Coarse: what is measured does not depend on the texels.
 const CAPTURE: &str = "job submit capture --scene gazebo --object teapot --points 100 --face-size-texels 64 --samples-per-texel 1 \
                        --max-bounces 1 --dataset teapot --watch --quiet";
@@ -58,7 +57,8 @@ fn main() {
     let wants = |part: &str| parts.is_empty() || parts.iter().any(|wanted| wanted == part);
     let runtime = tokio::runtime::Runtime::new().expect("a runtime");
     let folder = temporary_folder();
-    let server = Server::start_with(&folder.path().join("data"), &["--max-sessions", "256"]);
+    let data = folder.path().join("data");
+    let server = Server::start_with(&data, &["--max-sessions", "256"]);
     server.succeed(&CAPTURE.split_whitespace().collect::<Vec<_>>());
     runtime.block_on(async {
         let stand = Stand::find(&server).await;
@@ -71,14 +71,23 @@ fn main() {
         if wants("fairness") {
             fairness(&server, &stand).await;
         }
+        if wants("alone") {
+            alone::alone(&server, &data, &stand).await;
+        }
         if wants("link") {
-            link(&server, &stand).await;
+            link::link(&server, &stand).await;
+        }
+        if wants("rate") {
+            link::rate(&server, &stand).await;
+        }
+        if wants("bulk") {
+            link::bulk(&server, &stand).await;
         }
         if wants("idle") {
             idle(&server, &stand).await;
         }
         if wants("soak") {
-            soak(&server, &stand).await;
+            soak::soak(&server, &stand).await;
         }
     });
 }
@@ -133,7 +142,13 @@ struct Viewer {
 }
 
 impl Viewer {
-    async fn open(mut client: RenderingClient<tonic::transport::Channel>, stand: Stand, size: (u32, u32), credits: u32) -> Self {
+    /// Every frame of full size.
+    async fn open(client: RenderingClient<Channel>, stand: Stand, size: (u32, u32), credits: u32) -> Self {
+        Self::open_at(client, stand, size, credits, 0.0).await
+    }
+
+    /// So many frames a second in motion.
+    async fn open_at(mut client: RenderingClient<Channel>, stand: Stand, size: (u32, u32), credits: u32, rate: f32) -> Self {
         let settings = wire::OffsetSurfaceLightFieldSettings {
             component: Component::Mirror.into(),
             blend: Blend::Normal.into(),
@@ -147,6 +162,7 @@ impl Viewer {
             }),
             output: Some(wire::OutputSettings { encoding: wire::Encoding::Jpeg.into(), ..Default::default() }),
             credits,
+            moving_frames_per_second: Some(rate),
             ..Default::default()
         };
         let (up, messages) = mpsc::channel(64);
@@ -180,7 +196,17 @@ impl Viewer {
     }
 
     /// Always moving, for so long; how many frames a second, decoded.
-    async fn walk(mut self, seconds: Duration) -> f64 {
+    async fn walk(self, seconds: Duration) -> f64 {
+        let decode = |frame: &wire::Frame| drop(decode_image_codes(&frame.color, ReadLimits::SCENE).expect("a picture"));
+        self.walk_and(seconds, decode).await
+    }
+
+    /// The same, not decoded.
+    async fn walk_unseeing(self, seconds: Duration) -> f64 {
+        self.walk_and(seconds, |_| ()).await
+    }
+
+    async fn walk_and(mut self, seconds: Duration, see: impl Fn(&wire::Frame)) -> f64 {
         let begun = Instant::now();
         let mut frames = 0.0;
         self.step().await;
@@ -189,7 +215,7 @@ impl Viewer {
             && let Some(frame) = self.frame().await
         {
             self.step().await;
-            decode_image_codes(&frame.color, ReadLimits::SCENE).expect("a picture");
+            see(&frame);
             frames += 1.0;
         }
         frames / begun.elapsed().as_secs_f64()
@@ -224,8 +250,6 @@ async fn motion(server: &Server, stand: &Stand) {
     println!("\nmotion: {own:.1} ms in the server, {median:.1} ms from pose to decoded frame, 99 %: {slow:.1} ms");
     bound("added, ms", median - own, 10.0, median - own <= 10.0);
     bound("99 % / median", slow / median, 2.0, slow <= 2.0 * median);
-    let rate = Viewer::open(server.rendering().await, *stand, (640, 480), 2).await.walk(SECONDS).await;
-    bound("frames a second with two credits / 1000 / ms in the server", rate * own / 1e3, 0.95, rate * own / 1e3 >= 0.95);
 }
 
 /// JPEG's quality and at which resolution it stores colour: below 90 at half, as OpenCV's encoder does at 90.
@@ -307,97 +331,6 @@ async fn fairness(server: &Server, stand: &Stand) {
     bound("eight together / one", all / alone, 0.9, all >= 0.9 * alone);
 }
 
-/// Carries bytes from one socket to the other, each so long after it came, no more of them than the link takes.
-async fn carry(
-    mut from: impl AsyncReadExt + Unpin,
-    to: impl AsyncWriteExt + Unpin + Send + 'static,
-    bits_per_second: f64,
-    carried: Arc<AtomicU64>,
-) {
-    let (pieces, mut waiting) = mpsc::channel::<(Instant, Vec<u8>)>(1 << 12);
-    let mut to = to;
-    tokio::spawn(async move {
-        while let Some((at, piece)) = waiting.recv().await {
-            tokio::time::sleep_until((at + ROUND_TRIP / 2).into()).await;
-            carried.fetch_add(piece.len() as u64, Ordering::Relaxed);
-            if to.write_all(&piece).await.is_err() {
-                return;
-            }
-        }
-    });
-    let mut free = Instant::now();
-    let mut buffer = vec![0; 1400];
-    while let Ok(count) = from.read(&mut buffer).await
-        && count > 0
-    {
-        // A router's queue: what comes waits until the link has sent what came before. A timer that fires late takes nothing off the link.
-        let now = Instant::now();
-        free = if free + TIMER < now { now } else { free } + Duration::from_secs_f64(8.0 * count as f64 / bits_per_second);
-        tokio::time::sleep_until(free.into()).await;
-        if pieces.send((free, buffer[..count].to_vec())).await.is_err() {
-            return;
-        }
-    }
-}
-
-async fn link(server: &Server, stand: &Stand) {
-    let listener = TcpListener::bind("127.0.0.1:0").await.expect("a port");
-    let address = listener.local_addr().expect("an address");
-    let behind = server.url.trim_start_matches("http://").to_string();
-    let carried = Arc::new(AtomicU64::new(0));
-    let downward = carried.clone();
-    tokio::spawn(async move {
-        while let Ok((client, _)) = listener.accept().await {
-            let (near, far) = client.into_split();
-            let (back, forth) = TcpStream::connect(&behind).await.expect("the server listens").into_split();
-            tokio::spawn(carry(near, forth, BITS_PER_SECOND, Arc::default()));
-            tokio::spawn(carry(back, far, BITS_PER_SECOND, downward.clone()));
-        }
-    });
-    let client = RenderingClient::connect(format!("http://{address}")).await.expect("the proxy listens");
-    // 1 + ⌈round trip × rate⌉, as the interface asks of clients: 15 frames a second fit, the round trip of one is 100 + 66 ms.
-    let mut viewer = Viewer::open(client, *stand, (320, 240), 4).await;
-    let (begun, mut waits, mut own_time) = (Instant::now(), Vec::new(), Vec::new());
-    let mut sent = std::collections::BTreeMap::new();
-    let mut before = 0;
-    let mut measured = Instant::now();
-    let mut last_frame = Instant::now();
-    let mut intervals = Vec::new();
-    while begun.elapsed() < SECONDS {
-        // A pose every 16 ms, as from a screen.
-        tokio::select! {
-            () = tokio::time::sleep(POSE) => {
-                viewer.step().await;
-                sent.insert(viewer.steps, Instant::now());
-            }
-            frame = viewer.down.message() => {
-                let Some(Down::Frame(frame)) = frame.expect("a frame").and_then(|response| response.message) else { continue };
-                viewer.send(Up::Acknowledge(wire::FrameAcknowledgement { frame_id: frame.frame_id })).await;
-                if begun.elapsed() < SECONDS / 5 {
-                    (before, measured) = (carried.load(Ordering::Relaxed), Instant::now());
-                    last_frame = Instant::now();
-                    continue;
-                }
-                let on_the_link = 8.0 * frame.color.len() as f64 / BITS_PER_SECOND;
-                let all = sent[&frame.pose_id].elapsed().as_secs_f64();
-                waits.push(1e3 * (all - ROUND_TRIP.as_secs_f64() - on_the_link - 1e-3 * own_millis(&frame)).max(0.0));
-                own_time.push(1e3 * on_the_link);
-                intervals.push(1e3 * last_frame.elapsed().as_secs_f64());
-                last_frame = Instant::now();
-            }
-        }
-    }
-    let used = 8.0 * (carried.load(Ordering::Relaxed) - before) as f64 / measured.elapsed().as_secs_f64() / BITS_PER_SECOND;
-    let (wait, interval) = (quantile(&mut waits, 0.95), quantile(&mut intervals, 0.5));
-    println!(
-        "\nlink: {} frames, each {:.1} ms on the link, one every {interval:.1} ms (medians)",
-        waits.len(),
-        quantile(&mut own_time, 0.5)
-    );
-    bound("a frame waits for others, 95 %, ms, against the interval", wait, interval, wait <= interval);
-    bound("of the link used", used, 0.8, used >= 0.8);
-}
-
 async fn idle(server: &Server, stand: &Stand) {
     let mut viewers = Vec::new();
     for _ in 0..32 {
@@ -413,48 +346,4 @@ async fn idle(server: &Server, stand: &Stand) {
     let cores = (server.cpu_seconds() - before) / begun.elapsed().as_secs_f64();
     println!("\nidle: {} viewers at rest", viewers.len());
     bound("cores", cores, 0.01, cores <= 0.01);
-}
-
-async fn soak(server: &Server, stand: &Stand) {
-    let seconds = std::env::var("SOAK_SECONDS").map_or(600, |text| text.parse().expect("SOAK_SECONDS: a number"));
-    let until = Duration::from_secs(seconds);
-    let (mut mute, mut awake) = (Vec::new(), Vec::new());
-    for number in 0..SESSIONS {
-        let mut viewer = Viewer::open(server.rendering().await, *stand, (64, 48), 2).await;
-        if number % 10 == 0 {
-            // Neither reads nor acknowledges, but keeps its connection.
-            viewer.step().await;
-            viewer.step().await;
-            mute.push(viewer);
-        } else {
-            awake.push(tokio::spawn(viewer.walk(until)));
-        }
-    }
-    let begun = Instant::now();
-    let mut memory: Vec<(f64, f64)> = Vec::new();
-    while begun.elapsed() < until {
-        tokio::time::sleep(until / 60).await;
-        // The first part fills pools and heaps.
-        if begun.elapsed() > until / 5 {
-            memory.push((begun.elapsed().as_secs_f64() / 60.0, 1e-6 * server.resident_bytes() as f64));
-        }
-    }
-    let mut rates = Vec::new();
-    for viewer in awake {
-        rates.push(viewer.await.expect("a viewer does not panic"));
-    }
-    let count = memory.len() as f64;
-    let (x, y) = (memory.iter().map(|m| m.0).sum::<f64>() / count, memory.iter().map(|m| m.1).sum::<f64>() / count);
-    let slope = memory.iter().map(|m| (m.0 - x) * (m.1 - y)).sum::<f64>() / memory.iter().map(|m| (m.0 - x).powi(2)).sum::<f64>();
-    let (least, median) = (quantile(&mut rates, 0.0), quantile(&mut rates, 0.5));
-    println!("\nsoak: {seconds} s, {y:.1} MB on average; frames/s of who reads: least {least:.2}, median {median:.2}");
-    bound("megabytes a minute", slope, 1.0, slope <= 1.0);
-    bound("least / median frames", least / median, 0.5, least >= 0.5 * median);
-    let mut ended = 0;
-    for mut viewer in mute {
-        // What had come before it was ended, then the end.
-        let end = async { while viewer.down.message().await.is_ok_and(|message| message.is_some()) {} };
-        ended += u64::from(tokio::time::timeout(Duration::from_secs(5), end).await.is_ok());
-    }
-    bound("mute ones ended", ended as f64, (SESSIONS / 10) as f64, ended == SESSIONS / 10);
 }
