@@ -111,9 +111,10 @@ impl Interaction {
     }
 }
 
-/// One frame that is looked at, and those that are on their way meanwhile: 1 + ⌈round trip × rate⌉.
+/// One frame that is looked at, and those that come in a frame's round trip: the way's, and an interval each for drawing it and for sending it
+/// where the link is just wide enough.
 fn credits(round_trip: Duration, frames_per_second: f32) -> u32 {
-    (1.0 + (round_trip.as_secs_f32() * frames_per_second).ceil().max(1.0)).min(MOST_CREDITS) as u32
+    (3.0 + (round_trip.as_secs_f32() * frames_per_second).ceil()).min(MOST_CREDITS) as u32
 }
 
 /// To the server and back, without anything to carry.
@@ -140,8 +141,7 @@ mod tests {
     #[test]
     fn credits_fill_the_way_to_the_server_and_leave_one_frame_to_look_at() {
         let of = |millis, rate| credits(Duration::from_millis(millis), rate);
-        // A way of no length has a frame on it, too.
-        assert_eq!([of(0, 30.0), of(33, 30.0), of(34, 30.0), of(100, 30.0), of(100, 12.0)], [2, 2, 3, 4, 3]);
+        assert_eq!([of(0, 30.0), of(33, 30.0), of(34, 30.0), of(100, 30.0), of(100, 12.0)], [3, 4, 5, 6, 5]);
         assert_eq!(of(10_000, 240.0), 16);
     }
 

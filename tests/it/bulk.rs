@@ -27,7 +27,7 @@ const BLOB_BYTES: usize = 24 << 20;
 const SOCKET_BYTES: usize = 32 << 10;
 /// Let through at a time.
 const STEP_BYTES: u64 = 16 << 10;
-/// Let through before a frame of 37 kB has come: both sockets, the frame, as much of the download in turn with it, and half as much again.
+/// Let through before a frame of 14 kB has come: both sockets, the frame, as much of the download in turn with it, and half as much again.
 const MOST_BYTES: u64 = 384 << 10;
 
 /// Between a client and a server: what comes down passes as far as the gate is open.

@@ -229,8 +229,8 @@ export class Viewer {
     this.panes.forEach((pane) => pane.close());
     const { server, dataset, version, kind } = this.subject;
     const { delivery, split } = this.address;
-    // One frame on the screen and as many as fit on the way.
-    const credits = Math.min(1 + Math.max(1, Math.ceil((server.roundTripMillis / 1000) * delivery.rate)), 16);
+    // One frame on the screen, and as many as come in a frame's round trip: the way's, and an interval each for drawing and sending it.
+    const credits = Math.min(3 + Math.ceil((server.roundTripMillis / 1000) * delivery.rate), 16);
     const opening = { dataset: dataset.name, version, credits, framesPerSecond: delivery.rate };
     this.phases = [];
     this.panes = (split === 'none' ? [0] : [0, 1]).map(

@@ -13,14 +13,14 @@ use lumisphere::render::{Backend, Frame, FrameRequest, Outputs, PendingFrame, Re
 use lumisphere::textures::{Page, PageId};
 use tokio::sync::OwnedSemaphorePermit;
 
-use crate::api::blocking;
+use crate::api::{begin_blocking, blocking};
 use crate::catalog::OpenedVersion;
 use crate::config::BackendChoice;
 use crate::errors::{ApiError, Reason};
 use crate::frame_use::{AdapterUse, FramePages};
 use crate::ground_truth::{Abandoned, Tracers};
 use crate::prefetch::Expected;
-use crate::render_queue::{Idle, Priority, QueueError, RenderQueue, Rendered};
+use crate::render_queue::{Idle, Priority, QueueError, RenderQueue, Rendered, Slot};
 use crate::still::{Held, Rooms, Still};
 use crate::telemetry::Metrics;
 use crate::video::Video;
@@ -103,6 +103,15 @@ enum Brush<'a> {
     Tracers(&'a mut Tracers, &'a Abandoned),
 }
 
+/// The first pass of a viewer's frame, to be encoded.
+pub struct DrawnLate {
+    order: FrameOrder,
+    drawn: Drawn,
+    queued: Duration,
+    slot: Slot,
+    admitted: OwnedSemaphorePermit,
+}
+
 /// What became of an order that was taken up late.
 struct Late<T> {
     order: FrameOrder,
@@ -142,6 +151,23 @@ impl Drawn {
     fn finish(self) -> Result<Pass, ApiError> {
         let Self { frame, adapter, cache } = self;
         Ok(Pass { frame: frame.finish()?, adapter, cache })
+    }
+}
+
+impl DrawnLate {
+    /// Whether nothing stood in for missing pages.
+    pub fn all_pages(&self) -> bool {
+        self.drawn.frame.is_final()
+    }
+
+    /// What it will be encoded in.
+    pub fn encoding(&self) -> Encoding {
+        encoding_of(&self.order.output, self.all_pages() && self.order.passes <= 1)
+    }
+
+    /// What the adapter's cache did for it.
+    pub fn adapter_use(&self) -> proto::AdapterCacheUse {
+        self.drawn.cache.adapter.unwrap_or_default()
     }
 }
 
@@ -205,17 +231,17 @@ impl Frames {
         Ok(self.encoded_still(still).await?.0)
     }
 
-    /// A frame of one pass of what is ordered when its turn comes, which most likely has the `expected` settings; what the orderer wants to remember of it; and the still
-    /// that it begins, where more passes are ordered, nothing stood in for missing pages and there is room.
-    pub async fn encoded_late<T: Send + 'static>(
+    /// One pass of what is ordered when its turn comes, which most likely has the `expected` settings, drawn; and what the orderer wants to
+    /// remember of it.
+    pub async fn drawn_late<T: Send + 'static>(
         &self,
         order: impl FnOnce() -> (FrameOrder, T) + Send + 'static,
         expected: &RenderSettings,
         who: Priority,
-    ) -> Result<(EncodedFrame, Option<Still>, T), ApiError> {
+    ) -> Result<(DrawnLate, T), ApiError> {
         let mut painter = Painter::of(expected);
         let mut order: Box<dyn FnOnce() -> (FrameOrder, T) + Send> = Box::new(order);
-        let (queued, slot, admitted, order, drawn, noted) = loop {
+        loop {
             let gpu = self.gpu.clone();
             let work = move |brush: Brush<'_>| {
                 let (order, noted) = order();
@@ -225,24 +251,28 @@ impl Frames {
             };
             let Rendered { value, queued, slot, admitted } = self.turn(painter, self.admit(painter)?, who, None, work).await?;
             match value? {
-                Late { order, noted, drawn: Some(drawn) } => break (queued, slot, admitted, order, drawn, noted),
+                Late { order, noted, drawn: Some(drawn) } => return Ok((DrawnLate { order, drawn, queued, slot, admitted }, noted)),
                 // As it is now: it changes no more while it waits for the other.
                 Late { order: again, noted, drawn: None } => {
                     (painter, order) = (Painter::of(&again.settings), Box::new(move || (again, noted)));
                 }
             }
-        };
+        }
+    }
+
+    /// Begins at once: its frame, and the still that it begins, where more passes are ordered, nothing stood in for missing pages and there
+    /// is room.
+    pub fn encoded_late(&self, drawn: DrawnLate) -> impl Future<Output = Result<(EncodedFrame, Option<Still>), ApiError>> + Send + 'static {
         let (metrics, rooms) = (self.metrics.clone(), self.rooms.clone());
-        let encoding = move || {
+        begin_blocking(move || {
+            let DrawnLate { order, drawn, queued, slot, admitted } = drawn;
             let mut still = Still::begin(order, drawn.finish()?, queued, Held::by_call(admitted, slot, None));
             let encoded = encode(&mut still, &metrics)?;
             let goes_on = !still.is_done() && still.pixels().is_final;
             let room = goes_on.then(|| rooms.of_viewer_now(&still.order)).flatten();
             still.held = Held::by_viewer(room);
             Ok((encoded, still.held.room.is_some().then_some(still)))
-        };
-        let (encoded, still) = blocking(encoding).await?;
-        Ok((encoded, still, noted))
+        })
     }
 
     /// The first pass of a still, which waits for room if it is one of several.
@@ -458,11 +488,15 @@ fn observe(metrics: &Metrics, timings: &proto::FrameTimings) {
     metrics.frame_stage("encode", timings.encode_micros);
 }
 
+fn encoding_of(output: &Output, is_final: bool) -> Encoding {
+    output.encoding_at_rest.filter(|_| is_final).unwrap_or(output.encoding)
+}
+
 fn encode(still: &mut Still, metrics: &Metrics) -> Result<EncodedFrame, ApiError> {
     let begun = Instant::now();
     let (pixels, output) = (still.pixels(), still.order.output);
-    let (all_pages, is_final) = (pixels.is_final, pixels.is_final && still.is_done());
-    let encoding = output.encoding_at_rest.filter(|_| is_final).unwrap_or(output.encoding);
+    let is_final = pixels.is_final && still.is_done();
+    let encoding = encoding_of(&output, is_final);
     let Encoded { bytes, is_key, number } = encode_color(still, encoding)?;
     let color = Bytes::from(bytes);
     let width = still.order.camera.intrinsics().width_px;
@@ -490,7 +524,6 @@ fn encode(still: &mut Still, metrics: &Metrics) -> Result<EncodedFrame, ApiError
         cache,
         adapter: still.adapter.clone(),
         is_final,
-        all_pages,
         passes_done: still.passes(),
         gloss: still.order.settings.settings.gloss().filter(|_| still.order.settings.ground_truth.is_none()),
         is_key,

@@ -187,7 +187,8 @@ pub async fn rate(server: &Server, stand: &Stand) {
     println!("\nrate: {USUAL_RATE} frames a second asked for, 640×480");
     for (megabits, millis) in [(1000.0, 0), (20.0, 40), (5.0, 100), (2.0, 100)] {
         let link = Link::before(server, Way { bits_per_second: 1e6 * megabits, round_trip: Duration::from_millis(millis) }).await;
-        let credits = (1.0 + (1e-3 * millis as f64 * USUAL_RATE).ceil().max(1.0)) as u32;
+        // One on the screen, those on the way, one on the link and one that is drawn.
+        let credits = (3.0 + (1e-3 * millis as f64 * USUAL_RATE).ceil()) as u32;
         let client = RenderingClient::new(link.channel().await);
         let mut viewer = Viewer::open_at(client, *stand, (640, 480), credits, USUAL_RATE as f32).await;
         let mut seen = move_on(&mut viewer, &link).await;

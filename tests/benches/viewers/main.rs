@@ -196,17 +196,7 @@ impl Viewer {
     }
 
     /// Always moving, for so long; how many frames a second, decoded.
-    async fn walk(self, seconds: Duration) -> f64 {
-        let decode = |frame: &wire::Frame| drop(decode_image_codes(&frame.color, ReadLimits::SCENE).expect("a picture"));
-        self.walk_and(seconds, decode).await
-    }
-
-    /// The same, not decoded.
-    async fn walk_unseeing(self, seconds: Duration) -> f64 {
-        self.walk_and(seconds, |_| ()).await
-    }
-
-    async fn walk_and(mut self, seconds: Duration, see: impl Fn(&wire::Frame)) -> f64 {
+    async fn walk(mut self, seconds: Duration) -> f64 {
         let begun = Instant::now();
         let mut frames = 0.0;
         self.step().await;
@@ -215,7 +205,7 @@ impl Viewer {
             && let Some(frame) = self.frame().await
         {
             self.step().await;
-            see(&frame);
+            decode_image_codes(&frame.color, ReadLimits::SCENE).expect("a picture");
             frames += 1.0;
         }
         frames / begun.elapsed().as_secs_f64()

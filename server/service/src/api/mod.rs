@@ -108,9 +108,18 @@ type Answers<T> = Pin<Box<dyn Stream<Item = Result<T, Status>> + Send>>;
 
 /// Runs what blocks on a thread for that.
 pub async fn blocking<T: Send + 'static>(work: impl FnOnce() -> Result<T, ApiError> + Send + 'static) -> Result<T, ApiError> {
-    let ended = tokio::task::spawn_blocking(work).await;
-    ended.unwrap_or_else(|error| {
-        let what = error.try_into_panic().map_or("cancelled".into(), |panic| panic_message(panic.as_ref()));
-        Err(ApiError::internal(format!("blocking work ended early: {what}")))
-    })
+    begin_blocking(work).await
+}
+
+/// The same, begun before anyone waits for it.
+pub fn begin_blocking<T: Send + 'static>(
+    work: impl FnOnce() -> Result<T, ApiError> + Send + 'static,
+) -> impl Future<Output = Result<T, ApiError>> + Send + 'static {
+    let begun = tokio::task::spawn_blocking(work);
+    async {
+        begun.await.unwrap_or_else(|error| {
+            let what = error.try_into_panic().map_or("cancelled".into(), |panic| panic_message(panic.as_ref()));
+            Err(ApiError::internal(format!("blocking work ended early: {what}")))
+        })
+    }
 }

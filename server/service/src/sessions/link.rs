@@ -16,7 +16,7 @@ use std::time::{Duration, Instant};
 /// Frames after which the least time is looked for anew: routes change.
 const WINDOW: u32 = 256;
 /// What a frame should wait for others, in the time between two frames: enough that the link never runs dry.
-const WAIT: f32 = 0.375;
+const WAIT: f32 = 0.3125;
 /// By how many frames the window changes for a frame that waited a whole frame's time too long: less than one over the frames on their way,
 /// which is how late it is heard of.
 const GAIN: f32 = 1.0 / 16.0;
@@ -248,7 +248,7 @@ mod tests {
             let mut link = Link::new(credits);
             let seen = way.carry(&mut link, 0.25, 400);
             // The first few are sent at once, each behind the other.
-            assert!(seen.took[12..].iter().all(|seconds| *seconds < 1e-6), "{credits} credits");
+            assert!(seen.took[16..].iter().all(|seconds| *seconds < 1e-6), "{credits} credits");
             assert_eq!(link.places(), u64::from(credits));
             assert!((seen.used - (0.04 * credits as f32 / 0.14)).abs() < 0.01, "{credits} credits: {}", seen.used);
         }

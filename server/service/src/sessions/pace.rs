@@ -9,6 +9,11 @@
 //! Where the link is what takes too long, quality goes before size, and size comes back before quality: of 640 × 480 pixels of the gazebo's
 //! teapot, 45 kB of JPEG err by 12 codes (RMS) at full size and quality 40, and by 16 at 0.5 of the pixels and quality 90.
 
+//!
+//! A link tells what it takes only when it is full: with room to spare it seems to take no time at all (`link`). So what it can do better is
+//! tried, and each change of size or quality has it run empty once. A try that fills the link is taken back, and the next one comes after twice
+//! as many frames.
+
 use lumisphere::geometry::{Camera, Intrinsics};
 
 /// The smallest: 2^(−12/4), an eighth.
@@ -20,6 +25,10 @@ const NEWEST: f32 = 0.25;
 const CAREFUL: f32 = 0.8;
 /// A frame whose rendering is a smaller part of its wait gains nothing from being smaller.
 const WORTH: f32 = 1.0 / 16.0;
+/// A try that lasts for so many frames has come off: several round trips.
+const LASTED: u32 = 64;
+/// Frames after a try that failed until the next one: at first, and at most (half a minute at 30 a second).
+const PATIENCE: (u32, u32) = (32, 1024);
 /// Qualities that a full link may be given instead of a better one that was asked for.
 const LESSER_QUALITIES: [u8; 3] = [75, 60, 45];
 /// Bytes of a frame by its quality, in those of quality 90: measured on that teapot; between them a straight line.
@@ -49,6 +58,17 @@ pub struct Pace {
     waiting: Mean,
     own: Mean,
     link: Mean,
+    tries: Tries,
+}
+
+/// Of larger or better frames than those that the link had no trouble with.
+#[derive(Debug, Clone, Copy)]
+struct Tries {
+    /// Frames that have arrived since the last one, or since it was taken back.
+    since: u32,
+    has_failed: bool,
+    /// So many must have before the next; 0 unless the last ones failed.
+    patience: u32,
 }
 
 /// Of the recent measurements; None before the first.
@@ -66,6 +86,7 @@ impl Pace {
             waiting: Mean::default(),
             own: Mean::default(),
             link: Mean::default(),
+            tries: Tries::NONE,
         }
     }
 
@@ -98,12 +119,13 @@ impl Pace {
     pub fn arrived(&mut self, share: f32, quality: Option<u8>, seconds: f32) {
         let bytes = quality.map_or(1.0, |quality| bytes_of(self.qualities[self.step]) / bytes_of(quality));
         self.link.take(seconds * self.relative(share) * bytes);
+        self.tries.count();
         self.decide();
     }
 
     /// The link is another one.
     pub fn forget_link(&mut self) {
-        self.link = Mean::default();
+        (self.link, self.tries) = (Mean::default(), Tries::NONE);
     }
 
     /// From pixels of a share to pixels of this rung.
@@ -114,15 +136,22 @@ impl Pace {
     fn decide(&mut self) {
         let careful = CAREFUL * self.interval;
         if self.promised(self.rung, self.step) > self.interval {
+            if self.on_link(self.rung, self.step) > self.interval {
+                self.tries.fail();
+            }
             self.shrink();
+        } else if !self.tries.may_begin() {
+            return;
         } else if let Some(rung) = self.rung.checked_sub(1)
             && let Some(step) = (self.step..=self.last_step()).find(|step| self.promised(rung, *step) <= careful)
         {
             self.set(rung, step);
+            self.tries.begin();
             return;
         }
         if self.step > 0 && self.on_link(self.rung, self.step - 1) <= careful {
             self.set(self.rung, self.step - 1);
+            self.tries.begin();
         }
     }
 
@@ -163,6 +192,34 @@ impl Pace {
         (self.rung, self.step) = (rung, step);
         self.own.scale(pixels);
         self.link.scale(bytes);
+    }
+}
+
+impl Tries {
+    /// The last one was long ago, the next may be at once.
+    const NONE: Self = Self { since: u32::MAX, has_failed: false, patience: 0 };
+
+    fn count(&mut self) {
+        self.since = self.since.saturating_add(1);
+        if !self.has_failed && self.since >= LASTED {
+            self.patience = 0;
+        }
+    }
+
+    fn may_begin(self) -> bool {
+        if self.has_failed { self.since >= self.patience } else { self.patience == 0 }
+    }
+
+    fn begin(&mut self) {
+        (self.since, self.has_failed) = (0, false);
+    }
+
+    /// The link is full: the last one's fault, where it was not long ago.
+    fn fail(&mut self) {
+        if !self.has_failed && self.since < LASTED {
+            let (first, most) = PATIENCE;
+            *self = Self { since: 0, has_failed: true, patience: (2 * self.patience).clamp(first, most) };
+        }
     }
 }
 
@@ -373,6 +430,32 @@ mod tests {
         // One who asks for less gets no more; where there is no quality, only the size is left.
         assert_eq!(*on_a_link(0.5).encoded(&mut pace, Some(50), 100).last().unwrap(), (1, Some(45)));
         assert_eq!(*on_a_link(0.15).encoded(&mut pace, None, 100).last().unwrap(), (2, None));
+    }
+
+    #[test]
+    fn a_link_that_says_nothing_until_it_is_full_is_tried_less_and_less_often() {
+        // 0.4 of the interval at the lowest quality, 1.4 of it at the highest.
+        let link = Machine { waiting: 0.0, fixed: 0.001, per_size: 0.01, link: 1.4 / 30.0 };
+        let mut pace = Pace::new(30.0);
+        let mut too_large = |count: usize| {
+            let frame = |_| {
+                let (rung, quality) = (pace.rung(), pace.quality(Some(90)));
+                pace.drawn(share_of(rung), Took { waiting: None, own: link.own(rung) });
+                let seconds = link.on_link(rung, quality);
+                let is_full = seconds > 1.0 / 30.0;
+                pace.arrived(share_of(rung), quality, if is_full { seconds } else { 0.0 });
+                is_full
+            };
+            (0..count).map(frame).filter(|is_full| *is_full).count()
+        };
+        too_large(1000);
+        // Three tries of some frames each, until the mean has noticed.
+        let tried = too_large(3000);
+        assert!((1..=40).contains(&tried), "{tried} of 3000 frames filled the link");
+        // A better one is noticed within the longest patience, and then used at once.
+        let better = Machine { link: 0.1 / 30.0, ..link };
+        let found = better.encoded(&mut pace, Some(90), PATIENCE.1 as usize + 100);
+        assert_eq!(*found.last().unwrap(), (0, Some(90)));
     }
 
     #[test]

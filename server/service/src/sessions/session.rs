@@ -1,12 +1,13 @@
 //! One viewer, however its messages travel. A watch value holds what it wants to see: messages change it, and [`Session::show`] renders it
-//! whenever there is something new and a credit. A pose that is overtaken before the render thread takes it up is never rendered. While there
-//! is nothing to draw, pages are brought that a moving viewer's next frame will want.
+//! whenever there is something new and a credit. A pose that is overtaken before the render thread takes it up is never rendered. While a
+//! frame is encoded the next is drawn; while there is nothing to draw, pages are brought that a moving viewer's next frame will want.
 //!
 //! A viewer that asked for a rate is *moving* while poses or settings keep coming: its frames are as large as `pace` says. Once nothing new
 //! has come for a moment it is *still*, and is shown the full size; a new pose drops that frame where its rendering has not begun. What several
 //! passes make better (`still`) is then refined, a pass at a time after everyone else's work, and shown again after 2, 4, 8, … passes and the
 //! last; whatever new comes drops it at once.
 
+use std::pin::Pin;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -28,6 +29,7 @@ use crate::api::blocking;
 use crate::catalog::OpenedVersion;
 use crate::config::BackendChoice;
 use crate::errors::{ApiError, Reason};
+use crate::frames::DrawnLate;
 use crate::ground_truth::check_truth;
 use crate::prefetch::{Expected, Motion};
 use crate::render_queue::Priority;
@@ -111,16 +113,32 @@ struct Shown {
     stream_number: u64,
 }
 
-/// A frame of a turn.
-struct Rendered {
-    shown: Shown,
-    /// Whether nothing stood in for missing pages.
-    all_pages: bool,
-    /// Whether nothing but pages and passes is missing of what a viewer at rest would be shown.
-    is_full: bool,
+/// What encoding made, and the still that it begins.
+type Frame = Result<(EncodedFrame, Option<Still>), ApiError>;
+
+/// A frame that is drawn and being encoded, while the next one may be drawn.
+struct InEncoding<'a> {
+    slot: OutboxPlace<'a>,
+    frame: Pin<Box<dyn Future<Output = Frame> + Send>>,
+    frame_id: u64,
+    pose_id: u64,
+    who: Priority,
+    begun: Instant,
+    /// What the viewer has not seen yet once it is sent.
+    owed: Owed,
+    /// Of a moving viewer's frames.
+    moving: Encoding,
+    /// Of the full size's pixels.
+    share: f32,
+}
+
+/// What became of it.
+struct Delivered {
     /// To be refined; None where that is of no use, or has to wait for room.
     still: Option<Still>,
-    turn: Turn,
+    owed: Owed,
+    /// None if nothing was sent.
+    sent_at: Option<Instant>,
 }
 
 /// Which means of a still's passes are shown.
@@ -298,25 +316,41 @@ impl Session {
         let mut sent_at = Instant::now();
         // Of the wish that was shown last; None also while there is no room for it.
         let mut still: Option<Still> = None;
+        // Drawn before, and not encoded yet.
+        let mut behind: Option<InEncoding<'_>> = None;
         loop {
-            let sent = self.sent.load(Ordering::SeqCst);
+            // With the one that is being encoded.
+            let sent = self.sent.load(Ordering::SeqCst) + u64::from(behind.is_some());
             let is_new = |wish: &Wish| wish.pose.is_some() && wish.revision > shown;
-            tokio::select! {
-                biased;
-                // Memory is not kept for what no one wants, credit or not.
-                () = self.until_changed(shown), if still.is_some() => {
-                    (still, owed) = self.abandon();
-                    continue;
+            if let Some(encoding) = &mut behind {
+                tokio::select! {
+                    biased;
+                    frame = &mut encoding.frame => {
+                        let delivered = self.deliver(behind.take(), frame, last);
+                        (still, owed, sent_at) = (delivered.still, delivered.owed, delivered.sent_at.unwrap_or(sent_at));
+                        continue;
+                    }
+                    is_there = self.until_placed(sent, last, is_new) => if !is_there { return ShowEnded::Left },
                 }
-                is_there = self.until_placed(sent, last, is_new) => if !is_there { return ShowEnded::Left },
-                () = self.until_due(owed, sent, last) => {}
-                () = last.cancelled() => return ShowEnded::Left,
-                () = self.until_mute(sent, sent_at) => return ShowEnded::Mute,
-                // Dropped as soon as there is something to draw.
-                () = self.prefetch(&mut expected, &mut looks) => {}
+            } else {
+                tokio::select! {
+                    biased;
+                    // Memory is not kept for what no one wants, credit or not.
+                    () = self.until_changed(shown), if still.is_some() => {
+                        (still, owed) = self.abandon();
+                        continue;
+                    }
+                    is_there = self.until_placed(sent, last, is_new) => if !is_there { return ShowEnded::Left },
+                    () = self.until_due(owed, sent, last) => {}
+                    () = last.cancelled() => return ShowEnded::Left,
+                    () = self.until_mute(sent, sent_at) => return ShowEnded::Mute,
+                    // Dropped as soon as there is something to draw.
+                    () = self.prefetch(&mut expected, &mut looks) => {}
+                }
             }
             // Room in the outbox first: what is rendered can then be sent.
-            let slot = match tokio::time::timeout(self.stage.mute_patience, down.reserve()).await {
+            let reserved = tokio::time::timeout(self.stage.mute_patience, down.reserve());
+            let slot = match self.beside(&mut behind, &mut sent_at, last, reserved).await {
                 Ok(Ok(slot)) => slot,
                 Ok(Err(_)) => return ShowEnded::Left,
                 Err(_) => return ShowEnded::Mute,
@@ -365,19 +399,29 @@ impl Session {
                     std::future::pending().await
                 }
             };
-            let rendered = tokio::select! {
-                biased;
-                // A frame of full size is not begun for a viewer who has moved on; one that was begun is shown, if it is rendered.
-                () = moved_on, if who == Priority::Still => {
+            let drawing = async {
+                tokio::select! {
+                    biased;
+                    // A frame of full size is not begun for a viewer who has moved on; one that was begun is shown, if it is rendered.
+                    () = moved_on, if who == Priority::Still => None,
+                    drawn = self.draw(&asked, who, hopeless, begun.clone()) => Some(drawn),
+                }
+            };
+            let begun_at = Instant::now();
+            let drawn = self.beside(&mut behind, &mut sent_at, last, drawing).await;
+            // In the order of their drawing.
+            if let Some(encoding) = &mut behind {
+                let frame = (&mut encoding.frame).await;
+                self.deliver_overtaken(&mut behind, frame, &mut sent_at, last);
+            }
+            let (turn, wanted_more) = match drawn {
+                None => {
                     self.stage.metrics.stills_abandoned.inc();
                     continue;
                 }
-                rendered = self.render(&asked, who, sent + 1, hopeless, begun.clone()) => rendered,
-            };
-            let (turn, wanted_more) = match rendered {
-                Ok(Rendered { mut shown, all_pages, is_full, still: begun, turn }) => {
+                Some(Ok((drawn, turn))) => {
                     let settled = turn.wish.changed + self.moving.as_ref().map_or(SETTLING, |moving| moving.settling);
-                    let adapter = shown.frame.cache.and_then(|cache| cache.adapter).unwrap_or_default();
+                    let (all_pages, is_full, adapter) = (drawn.all_pages(), turn.is_full(drawn.encoding()), drawn.adapter_use());
                     if !all_pages && !crowd.has_hope(turn.wish.revision, adapter.misses, adapter.evictions) {
                         hopeless = turn.wish.revision;
                     }
@@ -387,22 +431,26 @@ impl Session {
                         (false, _, Some(_)) => Owed::FullSize(settled),
                         _ => Owed::Better,
                     };
-                    shown.frame.is_final = owed == Owed::Nothing;
-                    still = begun;
-                    self.measure(&shown, who);
-                    let is_held_back = last.is_cancelled() && matches!(owed, Owed::Passes(_));
-                    if !is_held_back {
-                        sent_at = self.send(slot, shown);
-                    }
+                    behind = Some(InEncoding {
+                        slot,
+                        frame: Box::pin(self.stage.frames.encoded_late(drawn)),
+                        frame_id: self.sent.load(Ordering::SeqCst) + 1,
+                        pose_id: turn.pose_id,
+                        who,
+                        begun: begun_at,
+                        owed,
+                        moving: turn.wish.output.encoding,
+                        share: share(&turn.drawn, &turn.full),
+                    });
                     (turn, adapter.misses + adapter.prefetch_used > 0)
                 }
                 // The wish stays due: a viewer at rest sends nothing that would ask again.
-                Err(error) if error.reason() == Reason::RenderQueueFull => {
+                Some(Err(error)) if error.reason() == Reason::RenderQueueFull => {
                     drop(slot);
                     tokio::time::sleep(QUEUE_RETRY).await;
                     continue;
                 }
-                Err(error) => {
+                Some(Err(error)) => {
                     slot.send(Ok(response(status(&error, pose_id))));
                     (shown, owed) = (asked.revision, Owed::Nothing);
                     continue;
@@ -418,6 +466,54 @@ impl Session {
             expected = next.map(|camera| Expected { version: self.version.clone(), camera, settings: wish.settings });
             self.stage.metrics.poses_overtaken.inc_by((wish.poses - poses_shown).saturating_sub(1));
             poses_shown = wish.poses;
+        }
+    }
+
+    /// Waits for `work`; a frame that is encoded meanwhile is sent.
+    async fn beside<T>(
+        &self,
+        behind: &mut Option<InEncoding<'_>>,
+        sent_at: &mut Instant,
+        last: &CancellationToken,
+        work: impl Future<Output = T>,
+    ) -> T {
+        tokio::pin!(work);
+        if let Some(encoding) = behind {
+            tokio::select! {
+                biased;
+                frame = &mut encoding.frame => self.deliver_overtaken(behind, frame, sent_at, last),
+                done = &mut work => return done,
+            }
+        }
+        work.await
+    }
+
+    /// Sends a frame that is encoded, or says why it is not.
+    fn deliver(&self, encoding: Option<InEncoding<'_>>, frame: Frame, last: &CancellationToken) -> Delivered {
+        let InEncoding { slot, frame_id, pose_id, who, begun, owed, moving, share, .. } = encoding.expect("it has just been polled");
+        match frame {
+            Ok((frame, still)) => {
+                let mut shown = self.shown(frame, frame_id, pose_id, moving, share);
+                shown.frame.is_final = owed == Owed::Nothing;
+                tracing::debug!(frame_id, pose_id, micros = begun.elapsed().as_micros() as u64, "frame");
+                self.measure(&shown, who);
+                let is_held_back = last.is_cancelled() && matches!(owed, Owed::Passes(_));
+                let sent_at = (!is_held_back).then(|| self.send(slot, shown));
+                Delivered { still, owed, sent_at }
+            }
+            Err(error) => {
+                slot.send(Ok(response(status(&error, pose_id))));
+                Delivered { still: None, owed: Owed::Nothing, sent_at: None }
+            }
+        }
+    }
+
+    /// The same of a frame after which another is drawn already: what would make it better is of no use any more.
+    fn deliver_overtaken(&self, behind: &mut Option<InEncoding<'_>>, frame: Frame, sent_at: &mut Instant, last: &CancellationToken) {
+        let delivered = self.deliver(behind.take(), frame, last);
+        *sent_at = delivered.sent_at.unwrap_or(*sent_at);
+        if delivered.still.is_some() {
+            self.stage.metrics.refinements_abandoned.inc();
         }
     }
 
@@ -500,17 +596,9 @@ impl Session {
         std::future::pending().await
     }
 
-    /// The latest wish of the moment when the render thread takes it up, as its frame: of full size where it is still the one that was
-    /// asked for at rest, however long it waited.
-    /// `begun` is cancelled then. The wish with the revision `hopeless` waits for all its pages.
-    async fn render(
-        &self,
-        asked: &Wish,
-        who: Priority,
-        frame_id: u64,
-        hopeless: u64,
-        begun: CancellationToken,
-    ) -> Result<Rendered, ApiError> {
+    /// The latest wish of the moment when the render thread takes it up, drawn: of full size where it is still the one that was asked for at
+    /// rest, however long it waited. `begun` is cancelled then. The wish with the revision `hopeless` waits for all its pages.
+    async fn draw(&self, asked: &Wish, who: Priority, hopeless: u64, begun: CancellationToken) -> Result<(DrawnLate, Turn), ApiError> {
         let (version, moving, upload_bytes) = (self.version.clone(), self.moving.clone(), self.stage.upload_bytes_per_frame);
         let (wishes, asked, seat, settings) = (self.wish.subscribe(), asked.clone(), self.seat.clone(), asked.settings);
         let order = move || {
@@ -531,13 +619,7 @@ impl Session {
             }
             (order, turn)
         };
-        let begun = Instant::now();
-        let (frame, still, turn) = self.stage.frames.encoded_late(order, &settings, who).await?;
-        let (pose_id, all_pages) = (turn.pose_id, frame.all_pages);
-        let is_full = turn.is_full(frame.encoding);
-        let shown = self.shown(frame, frame_id, pose_id, turn.wish.output.encoding, share(&turn.drawn, &turn.full));
-        tracing::debug!(frame_id, pose_id, micros = begun.elapsed().as_micros() as u64, "frame");
-        Ok(Rendered { shown, all_pages, is_full, still, turn })
+        self.stage.frames.drawn_late(order, &settings, who).await
     }
 
     /// One more pass of the wish that was shown, which still stands; its frame where it is one that is shown.

@@ -33,8 +33,6 @@ pub struct EncodedFrame {
     pub adapter: Option<String>,
     /// No better frame of this pose follows.
     pub is_final: bool,
-    /// Nothing stood in for missing pages.
-    pub all_pages: bool,
     /// That the colour is the mean of.
     pub passes_done: u32,
     /// How a highlight was gathered, where one was.
