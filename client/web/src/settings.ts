@@ -420,9 +420,10 @@ export const DELIVERY_FIELDS: readonly Field<Delivery>[] = [
   {
     key: 'warp',
     label: 'While waiting',
+    hint: 'Far: more than 33 ms there and back.',
     control: 'choice',
     options: [
-      ['auto', 'warp on a long link'],
+      ['auto', 'warp if far'],
       ['off', 'keep the frame'],
       ['depth', 'warp by depth'],
     ],
