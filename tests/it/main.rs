@@ -12,6 +12,7 @@ mod counters;
 mod downloads;
 mod environments;
 mod exposure;
+mod faults;
 mod fits;
 mod fuzz;
 mod ground_truth;

@@ -61,7 +61,7 @@ export interface Delivery {
   readonly scale: number;
   /** Frames per second asked for while moving. */
   readonly rate: number;
-  /** "off" or "depth": whether the last frame is warped to the newest pose while the next is awaited. */
+  /** Whether the last frame is warped to the newest pose while the next is awaited: "off", "depth", or "auto": where the link is long. */
   readonly warp: string;
 }
 
@@ -109,7 +109,7 @@ export const DEFAULT_SETTINGS: Settings = {
   overlay: 'none',
 };
 
-export const DEFAULT_DELIVERY: Delivery = { encoding: 'jpeg', atRest: 'same', quality: 90, scale: 1, rate: 30, warp: 'off' };
+export const DEFAULT_DELIVERY: Delivery = { encoding: 'jpeg', atRest: 'same', quality: 90, scale: 1, rate: 30, warp: 'auto' };
 
 const isLightField = (kind: Kind): boolean => kind === 'offset_surface_light_field';
 const showsComponent =
@@ -122,6 +122,15 @@ const reads =
   (applies: (values: Settings, kind: Kind) => boolean) =>
   (values: Settings, kind: Kind): boolean =>
     isStored(values) && applies(values, kind);
+
+/** Two refreshes of most screens: over a link that takes no longer there and back, the frame itself comes as soon as a warp helps. */
+const LONG_ROUND_TRIP_MILLIS = 33;
+
+/** As it is over a link of this round trip, which decides where nobody did. */
+export function decided(delivery: Delivery, roundTripMillis: number): Delivery {
+  if (delivery.warp !== 'auto') return delivery;
+  return { ...delivery, warp: roundTripMillis > LONG_ROUND_TRIP_MILLIS ? 'depth' : 'off' };
+}
 
 /** Passes of a picture at rest. */
 export function passesOf(settings: Settings): number {
@@ -411,8 +420,10 @@ export const DELIVERY_FIELDS: readonly Field<Delivery>[] = [
   {
     key: 'warp',
     label: 'While waiting',
+    hint: 'Far: more than 33 ms there and back.',
     control: 'choice',
     options: [
+      ['auto', 'warp if far'],
       ['off', 'keep the frame'],
       ['depth', 'warp by depth'],
     ],

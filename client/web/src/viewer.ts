@@ -9,6 +9,7 @@ import { Pane } from './pane';
 import { controls, type Controls } from './panel';
 import type { Phase } from './session';
 import {
+  decided,
   DELIVERY_FIELDS,
   DELIVERY_FIELDS_WITHOUT_VIDEO,
   SETTING_FIELDS,
@@ -224,6 +225,10 @@ export class Viewer {
     return index === 0 ? this.address.settings : this.address.other;
   }
 
+  private delivery(): Delivery {
+    return decided(this.address.delivery, this.subject.server.roundTripMillis);
+  }
+
   /** Sessions anew: for one picture or two, at this rate. */
   private openPanes(): void {
     this.panes.forEach((pane) => pane.close());
@@ -235,7 +240,7 @@ export class Viewer {
     this.phases = [];
     this.panes = (split === 'none' ? [0] : [0, 1]).map(
       (index) =>
-        new Pane(kind, opening, this.settings(index), delivery, {
+        new Pane(kind, opening, this.settings(index), this.delivery(), {
           phase: (phase) => this.setPhase(index, phase),
           rejected: (message) => this.tell(message),
           drawn: (frame, measured) => {
@@ -283,7 +288,7 @@ export class Viewer {
   private setSettings(index: number, values: Settings): void {
     this.address = index === 0 ? { ...this.address, settings: values } : { ...this.address, other: values };
     this.tell(undefined);
-    this.panes[index]?.setSettings(values, this.address.delivery);
+    this.panes[index]?.setSettings(values, this.delivery());
     this.errorMap.outdate();
     this.linkLater();
   }
@@ -292,7 +297,7 @@ export class Viewer {
     const isOpened = delivery.rate === this.address.delivery.rate;
     this.address = { ...this.address, delivery };
     if (isOpened) {
-      this.panes.forEach((pane, index) => pane.setSettings(this.settings(index), delivery));
+      this.panes.forEach((pane, index) => pane.setSettings(this.settings(index), this.delivery()));
       this.setView(this.view);
     } else {
       this.openPanes();

@@ -6,6 +6,8 @@ pub mod cache;
 pub mod camera;
 pub mod datasets;
 pub mod frames;
+#[cfg(test)]
+mod fuzz;
 pub mod jobs;
 pub mod replay;
 pub mod scenes;

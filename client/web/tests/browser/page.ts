@@ -33,8 +33,17 @@ const PATIENCE_MILLIS = 60_000;
 /** Room for all that a large screen shows; few pixels, for software adapters. */
 export const VIEWPORT = { width: 800, height: 520 };
 
-export async function startBrowser(): Promise<Browser> {
-  return chromium.launch({ executablePath: process.env['CHROMIUM'] ?? '/usr/bin/chromium', headless: true, args: FLAGS });
+/** `flags`: more than the usual ones. */
+export async function startBrowser(flags: readonly string[] = []): Promise<Browser> {
+  return chromium.launch({ executablePath: process.env['CHROMIUM'] ?? '/usr/bin/chromium', headless: true, args: [...FLAGS, ...flags] });
+}
+
+/** What a page shows at once after the pointer moved, as PNG: the last frame, and its warp where there is one. */
+export interface Moment {
+  readonly frame: Uint8Array;
+  readonly warped: Uint8Array | undefined;
+  /** Milliseconds in which the page took the move, its warp included. */
+  readonly millis: number;
 }
 
 /** What a session was told to show. */
@@ -140,6 +149,40 @@ export class ViewerPage {
     await this.page.mouse.up();
   }
 
+  /**
+   * Moves the pointer over the stage at once. What the page shows is read while it handles the move, before it can take anything from the
+   * server.
+   */
+  async dragAtOnce(dx: number, dy: number): Promise<Moment> {
+    const box = await this.page.locator('.stage').boundingBox();
+    if (box === null) throw new Error('no stage');
+    const [x, y] = [box.x + box.width / 2, box.y + box.height / 2];
+    await this.page.mouse.move(x, y);
+    await this.page.mouse.down();
+    const moment = this.page.evaluate(
+      () =>
+        new Promise<{ frame: string; warped: string | undefined; millis: number }>((told) => {
+          let begun = 0;
+          window.addEventListener('pointermove', () => (begun = performance.now()), { capture: true, once: true });
+          const after = (): void => {
+            const canvas = (kind: string) =>
+              document.querySelector<HTMLCanvasElement>(`canvas.${kind}:not([hidden])`)?.toDataURL('image/png');
+            const warped = canvas('warp');
+            told({ millis: performance.now() - begun, frame: canvas('frame')!, warped });
+          };
+          // After the stage has it.
+          window.addEventListener('pointermove', after, { once: true });
+          document.documentElement.dataset['watched'] = 'true';
+        }),
+    );
+    await this.page.locator('[data-watched]').waitFor({ state: 'attached' });
+    await this.page.mouse.move(x + dx, y + dy);
+    const { frame, warped, millis } = await moment;
+    await this.page.evaluate(() => delete document.documentElement.dataset['watched']);
+    await this.page.mouse.up();
+    return { frame: fromUrl(frame), warped: warped === undefined ? undefined : fromUrl(warped), millis };
+  }
+
   /** Pixels of a picture that are not those of an encoded image; all of them where sizes differ. `spoil` changes one pixel before. */
   async differingPixels(image: Uint8Array, pane = 0, spoil = false): Promise<number> {
     return this.page.evaluate(
@@ -196,7 +239,7 @@ export class ViewerPage {
       .locator('canvas.frame')
       .nth(pane)
       .evaluate((canvas: HTMLCanvasElement) => canvas.toDataURL('image/png'));
-    return Buffer.from(url.slice(url.indexOf(',') + 1), 'base64');
+    return fromUrl(url);
   }
 
   /** Kept, to be looked at. */
@@ -204,6 +247,11 @@ export class ViewerPage {
     mkdirSync(SCREENSHOTS, { recursive: true });
     await this.page.screenshot({ path: join(SCREENSHOTS, `${name}.png`) });
   }
+}
+
+/** The bytes of a data URL. */
+function fromUrl(url: string): Uint8Array {
+  return Buffer.from(url.slice(url.indexOf(',') + 1), 'base64');
 }
 
 async function nameSession(request: Request, opening: { session: string }): Promise<void> {

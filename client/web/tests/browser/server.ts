@@ -1,6 +1,8 @@
 /** The real binaries: a server on a folder of its own, which can be killed and started again on the same port, and the command line. */
 import { execFileSync, spawn, type ChildProcess } from 'node:child_process';
+import { createHash, X509Certificate } from 'node:crypto';
 import { existsSync, mkdtempSync, readFileSync, rmSync } from 'node:fs';
+import { connect } from 'node:http2';
 import { tmpdir } from 'node:os';
 import { join } from 'node:path';
 import { createInterface } from 'node:readline';
@@ -37,29 +39,60 @@ const QUICK_OBSERVATION = ['--size-texels', '16', '--samples-per-observation', '
 export class Server {
   private child: ChildProcess | undefined;
   private address = '127.0.0.1:0';
+  private httpAddress = '127.0.0.1:0';
   private log = '';
   private readonly folder = mkdtempSync(join(tmpdir(), 'lumisphere-viewer-'));
+  /** PEM, of a server with TLS. */
+  private certificate: Buffer | undefined;
 
-  /** "http://127.0.0.1:…", the same after every start. */
+  /** `settings`: flags more. */
+  constructor(private readonly settings: readonly string[] = []) {}
+
+  /** "http://127.0.0.1:…", with TLS "https://…"; the same after every start. */
   get url(): string {
-    return `http://${this.address}`;
+    return `${this.certificate === undefined ? 'http' : 'https'}://${this.address}`;
+  }
+
+  /** From the next start on it has TLS, by a certificate of its own. Returns that key's SHA-256, in base64. */
+  secure(): string {
+    const [certificate, key] = [join(this.folder, 'certificate.pem'), join(this.folder, 'key.pem')];
+    const kind = ['-newkey', 'ec', '-pkeyopt', 'ec_paramgen_curve:P-256', '-nodes', '-days', '2'];
+    const name = ['-subj', '/CN=localhost', '-addext', 'subjectAltName=IP:127.0.0.1,DNS:localhost'];
+    execFileSync('openssl', ['req', '-x509', ...kind, ...name, '-keyout', key, '-out', certificate], {
+      stdio: ['ignore', 'ignore', 'pipe'],
+    });
+    this.certificate = readFileSync(certificate);
+    const { publicKey } = new X509Certificate(this.certificate);
+    return createHash('sha256')
+      .update(publicKey.export({ type: 'spki', format: 'der' }))
+      .digest('base64');
   }
 
   async start(): Promise<void> {
-    const flags = ['--listen-address', this.address, '--http-address', '127.0.0.1:0', '--data-dir', join(this.folder, 'data')];
+    const addresses = ['--listen-address', this.address, '--http-address', this.httpAddress];
+    const tls = ['--tls-certificate', join(this.folder, 'certificate.pem'), '--tls-private-key', join(this.folder, 'key.pem')];
+    const secured = this.certificate === undefined ? [] : tls;
+    const flags = [...addresses, '--data-dir', join(this.folder, 'data'), ...secured, ...this.settings];
     const child = spawn(join(BINARIES, 'lumisphere-server'), flags, { stdio: ['ignore', 'pipe', 'pipe'], env: environment() });
     this.child = child;
     child.stderr.on('data', (text: Buffer) => (this.log += text.toString()));
     const lines = createInterface({ input: child.stdout });
-    const address = await new Promise<string>((found, failed) => {
+    const [address, httpAddress] = await new Promise<[string, string]>((found, failed) => {
       lines.on('line', (line) => {
-        const grpc = /^listening grpc=(\S+)/.exec(line)?.[1];
-        if (grpc !== undefined) found(grpc);
+        const [, grpc, http] = /^listening grpc=(\S+) http=(\S+)/.exec(line) ?? [];
+        if (grpc !== undefined && http !== undefined) found([grpc, http]);
       });
       child.on('error', failed);
       child.on('exit', () => failed(new Error(`the server ended:\n${this.log}`)));
     });
     this.address = address;
+    this.httpAddress = httpAddress;
+  }
+
+  /** A gauge of its metrics. */
+  async gauge(name: string): Promise<number> {
+    const metrics = await (await fetch(`http://${this.httpAddress}/metrics`)).text();
+    return Number(new RegExp(`^(?:\\w+_)?${name} (\\S+)$`, 'm').exec(metrics)?.[1]);
   }
 
   /** `kill -9`. */
@@ -108,22 +141,16 @@ export class Server {
     return readFileSync(join(out, 'frame-00000.png'));
   }
 
+  /** The light field "patchwork". */
+  fillLightField(): void {
+    const what = ['--scene', 'patchwork', '--object', 'patchwork', '--dataset', 'patchwork'];
+    this.lumisphere('job', 'submit', 'capture', ...what, ...QUICK_CAPTURE, '--watch', '--quiet');
+  }
+
   /** The light field "patchwork"; "seen", what a plane was seen to be, and its parameter map "map"; and "empty". */
   fill(): void {
     const wait = ['--watch', '--quiet'];
-    this.lumisphere(
-      'job',
-      'submit',
-      'capture',
-      '--scene',
-      'patchwork',
-      '--object',
-      'patchwork',
-      '--dataset',
-      'patchwork',
-      ...QUICK_CAPTURE,
-      ...wait,
-    );
+    this.fillLightField();
     this.lumisphere(
       'job',
       'submit',
@@ -144,14 +171,29 @@ export class Server {
   /** Rendering.RenderFrame, called as any program would. */
   async renderFrame(dataset: string, camera: Camera, settings: RenderSettings, output: OutputSettings): Promise<Frame> {
     const request = toBinary(RenderFrameRequestSchema, create(RenderFrameRequestSchema, { dataset, camera, settings, output }));
-    const answer = await fetch(`${this.url}/lumisphere.v1alpha1.Rendering/RenderFrame`, {
-      method: 'POST',
-      headers: { 'content-type': 'application/grpc-web+proto', 'x-grpc-web': '1' },
-      body: Buffer.concat([envelopeHeader(request.length), request]),
-    });
-    const message = firstMessage(Buffer.from(await answer.arrayBuffer()));
-    if (message === undefined) throw new Error(`RenderFrame: ${answer.status} ${answer.headers.get('grpc-message')}`);
+    const answer = await this.post('/lumisphere.v1alpha1.Rendering/RenderFrame', Buffer.concat([envelopeHeader(request.length), request]));
+    const message = firstMessage(answer);
+    if (message === undefined) throw new Error(`RenderFrame: ${answer.toString()}`);
     return fromBinary(FrameSchema, message);
+  }
+
+  private async post(path: string, body: Buffer): Promise<Buffer> {
+    const headers = { 'content-type': 'application/grpc-web+proto', 'x-grpc-web': '1' };
+    if (this.certificate === undefined) {
+      const answer = await fetch(this.url + path, { method: 'POST', headers, body: new Uint8Array(body) });
+      return Buffer.from(await answer.arrayBuffer());
+    }
+    // fetch takes no certificate.
+    const link = connect(this.url, { ca: this.certificate });
+    try {
+      const stream = link.request({ ':method': 'POST', ':path': path, ...headers });
+      stream.end(body);
+      const parts: Buffer[] = [];
+      for await (const part of stream) parts.push(part as Buffer);
+      return Buffer.concat(parts);
+    } finally {
+      link.close();
+    }
   }
 }
 

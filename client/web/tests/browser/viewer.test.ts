@@ -15,6 +15,7 @@ import {
   OffsetSurfaceLightFieldSettings_Refraction_Body as Body,
 } from '../../src/generated/lumisphere/v1alpha1/rendering_pb';
 import { apart } from './colours';
+import { readExr, type Radiance } from './exr';
 import { startBrowser, VIEWPORT, ViewerPage } from './page';
 import { Server } from './server';
 
@@ -188,8 +189,10 @@ describe('a person', () => {
 
   test('sends a link that shows another the same view', async () => {
     await viewer.becomesStillAfter(() => viewer.drag(-37, 21));
+    await viewer.page.context().grantPermissions(['clipboard-read', 'clipboard-write']);
     await viewer.page.getByRole('button', { name: 'Copy link' }).click();
-    const other = await ViewerPage.open(browser, viewer.page.url());
+    await viewer.page.getByRole('alert').getByText('The link is copied.').waitFor();
+    const other = await ViewerPage.open(browser, await viewer.page.evaluate(() => navigator.clipboard.readText()));
     await other.isStill();
     expect(await other.differingPixels(await viewer.picture())).toBe(0);
     await other.close();
@@ -220,16 +223,70 @@ describe('a person', () => {
     await viewer.isStill();
   });
 
+  async function saved(name: string): Promise<Buffer> {
+    const [download] = await Promise.all([viewer.page.waitForEvent('download'), viewer.page.getByRole('button', { name }).click()]);
+    return readFileSync((await download.path())!);
+  }
+
+  /** The most by which a code of the picture is not that of this radiance on a screen. */
+  async function farthestCode({ rgb }: Radiance, lightOf: (radiance: number) => number): Promise<number> {
+    const codes = await viewer.codes(await viewer.picture());
+    expect(codes.length).toBe(rgb.length);
+    const encoded = (y: number): number => (y <= 0.0031308 ? 12.92 * y : 1.055 * Math.pow(y, 1 / 2.4) - 0.055);
+    return codes.reduce((most, code, i) => Math.max(most, Math.abs(code - 255 * encoded(Math.min(lightOf(rgb[i]!), 1)))), 0);
+  }
+
   test('saves the still as PNG and as EXR', async () => {
-    const saved = async (name: string): Promise<Buffer> => {
-      const [download] = await Promise.all([viewer.page.waitForEvent('download'), viewer.page.getByRole('button', { name }).click()]);
-      return readFileSync((await download.path())!);
-    };
     const png = await saved('Save PNG');
     await viewer.becomesStillAfter(() => viewer.field('Encoding').selectOption('png'));
     expect(await viewer.differingPixels(png)).toBe(0);
-    // OpenEXR's magic number.
-    expect((await saved('Save EXR')).subarray(0, 4).toString('hex')).toBe('762f3101');
+    const radiance = readExr(await saved('Save EXR'));
+    // Unexposed, where the picture is half as bright; rounding is half a code.
+    expect(viewer.asked().output.exposureStops).toBe(-1);
+    expect(await farthestCode(radiance, (light) => light / 2)).toBeLessThan(0.51);
+    expect(radiance.rgb.reduce((count, light) => count + (light > 0.01 ? 1 : 0), 0)).toBeGreaterThan(10_000);
+  });
+
+  test('looks through another lens, and by an exposure that never clips', async () => {
+    const before = await viewer.picture();
+    await viewer.becomesStillAfter(() => viewer.field('Field of view, °').fill('70'));
+    const { widthPx, heightPx, focalXPx } = viewer.asked().camera.intrinsics!;
+    // Across the shorter side.
+    expect(Math.min(widthPx, heightPx) / 2 / focalXPx).toBeCloseTo(Math.tan((35 * Math.PI) / 180), 5);
+    await seen(viewer, 'patchwork');
+    expect(await viewer.differingPixels(before)).toBeGreaterThan(1000);
+    const clipping = await viewer.picture();
+    await viewer.becomesStillAfter(() => viewer.field('Exposure γ').fill('2.5'));
+    expect(viewer.asked().output.exposureGamma).toBe(2.5);
+    await seen(viewer, 'patchwork');
+    expect(await viewer.differingPixels(clipping)).toBeGreaterThan(1000);
+    const radiance = readExr(await saved('Save EXR'));
+    expect(await farthestCode(radiance, (light) => 1 - Math.exp(-2.5 * 0.5 * light))).toBeLessThan(0.51);
+    await viewer.becomesStillAfter(() => viewer.field('Exposure γ').fill('0'));
+    await viewer.becomesStillAfter(() => viewer.field('Field of view, °').fill('40'));
+    expect(await viewer.differingPixels(before)).toBe(0);
+  });
+
+  test('sees how fast frames come, how late, how large, and from the cache', async () => {
+    await viewer.drag(20, 0);
+    await viewer.drag(-20, 0);
+    const graphs = viewer.page.locator('.graphs > div');
+    const shown = [/^Frames\/s[1-9]\d*$/, /^Latency[1-9]\d* ms$/, /^Transfer[1-9][\d.]* [kM]B\/s$/, /^Cache hits(\d+) %$/];
+    for (const [i, text] of shown.entries()) await expect.poll(() => graphs.nth(i).textContent()).toMatch(text);
+    // A line has points in columns side by side.
+    const columns = (i: number): Promise<number> =>
+      graphs
+        .nth(i)
+        .locator('canvas')
+        .evaluate((canvas: HTMLCanvasElement) => {
+          const { width, height } = canvas;
+          const { data } = canvas.getContext('2d')!.getImageData(0, 0, width, height);
+          return Array.from({ length: width }, (_, x) => x).filter((x) =>
+            Array.from({ length: height }, (_, y) => y).some((y) => data[4 * (y * width + x) + 3]! > 0),
+          ).length;
+        });
+    for (const i of shown.keys()) await expect.poll(() => columns(i)).toBeGreaterThan(2);
+    await viewer.isStill();
   });
 
   test('is sent H.264 in motion and PNG at rest, both right', async () => {
@@ -608,6 +665,65 @@ describe('on a small screen, with a light scheme', () => {
     await seen(viewer, 'map');
     expect(await contentWidth()).toBe(400);
     await viewer.screenshot('small-settings');
+    expect(viewer.complaints).toEqual([]);
+    await viewer.close();
+  });
+});
+
+describe('in a light and in a dark scheme', () => {
+  /** Colours of the page, and of its texts those that stand out too little from what is behind them (WCAG 2: 4.5 to 1). */
+  async function colours(viewer: ViewerPage): Promise<{ ground: string; faint: string[] }> {
+    return viewer.page.evaluate(() => {
+      const canvas = new OffscreenCanvas(1, 1).getContext('2d', { willReadFrequently: true })!;
+      const codes = (color: string): number[] => {
+        canvas.clearRect(0, 0, 1, 1);
+        canvas.fillStyle = color;
+        canvas.fillRect(0, 0, 1, 1);
+        return [...canvas.getImageData(0, 0, 1, 1).data];
+      };
+      const luminance = ([r, g, b]: number[]): number => {
+        const [x, y, z] = [r!, g!, b!].map((c) => (c / 255 <= 0.04045 ? c / 255 / 12.92 : ((c / 255 + 0.055) / 1.055) ** 2.4));
+        return 0.2126 * x! + 0.7152 * y! + 0.0722 * z!;
+      };
+      const behind = (element: Element | null): number[] => {
+        if (element === null) return [255, 255, 255];
+        const own = codes(getComputedStyle(element).backgroundColor);
+        return own[3] === 255 ? own : behind(element.parentElement);
+      };
+      const hasText = (element: Element): boolean =>
+        element.matches('select, input:not([type=range]), textarea') ||
+        [...element.childNodes].some((node) => node.nodeType === Node.TEXT_NODE && node.textContent!.trim() !== '');
+      const texts = [...document.body.querySelectorAll('*')].filter((element) => element.checkVisibility() && hasText(element));
+      const faint = texts.flatMap((element) => {
+        const [a, b] = [luminance(codes(getComputedStyle(element).color)), luminance(behind(element))];
+        const contrast = (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
+        return contrast < 4.5 ? [`${element.tagName} ${element.textContent}: ${contrast.toFixed(2)}`] : [];
+      });
+      if (texts.length < 10) throw new Error(`${texts.length} texts`);
+      return { ground: getComputedStyle(document.body).backgroundColor, faint };
+    });
+  }
+
+  test.each([400, 800, 1440])('everything can be read, %i pixels wide', async (width) => {
+    const viewer = await ViewerPage.open(browser, server.url, { viewport: { width, height: 720 }, colorScheme: 'light' });
+    const both = async (name: string): Promise<void> => {
+      const grounds = [];
+      for (const colorScheme of ['light', 'dark'] as const) {
+        await viewer.page.emulateMedia({ colorScheme });
+        const { ground, faint } = await colours(viewer);
+        expect(faint).toEqual([]);
+        grounds.push(ground);
+        await viewer.screenshot(`${name}-${width}-${colorScheme}`);
+      }
+      expect(grounds[0]).not.toBe(grounds[1]);
+      expect(await viewer.page.evaluate(() => document.scrollingElement!.scrollWidth)).toBe(width);
+    };
+    // A narrow list's second one is out of sight, and not asked for.
+    await viewer.page.locator('.thumbnail img').first().waitFor();
+    await both('list');
+    await viewer.page.getByRole('link', { name: 'map' }).click();
+    await viewer.isStill();
+    await both('map');
     expect(viewer.complaints).toEqual([]);
     await viewer.close();
   });
