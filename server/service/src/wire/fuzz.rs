@@ -1,7 +1,7 @@
 //! Random bytes as every request: decoded and checked as the handlers do, in this process, nothing done. It never panics, and what it takes
 //! keeps the bounds that its errors tell of.
 //!
-//! `FUZZ_INPUTS=2000000 cargo test --release --workspace --features lumisphere-server/h264 --bins wire::fuzz -- --nocapture` checks more;
+//! `FUZZ_INPUTS=10000000 cargo test --release --workspace --features lumisphere-server/h264 --bins wire::fuzz -- --nocapture` checks more;
 //! `FUZZ_SEED` begins elsewhere. `tests/it/fuzz` sends to a live server.
 
 // The same spoiler of messages; some of it serves the live one alone.
@@ -27,7 +27,7 @@ use super::{FILE_DESCRIPTOR_SET, MAX_REQUEST_BYTES, cache, dataset_name, hash, j
 use crate::errors::ApiError;
 
 /// Checked by the test command.
-const INPUTS: u64 = 60_000;
+const INPUTS: u64 = 1_000_000;
 const LIMITS: SpecLimits = SpecLimits { max_pixels: 1 << 20, max_cameras: 16 };
 
 fn number(name: &str, default: u64) -> u64 {
@@ -154,11 +154,14 @@ fn check(method: &str, bytes: &[u8]) -> Option<Outcome> {
     })
 }
 
+/// A message, of its own kind.
+type Make = dyn Fn(&MessageDescriptor) -> DynamicMessage;
+
 /// Requests that are taken, to be spoiled.
-fn right(method: &str) -> Vec<Box<dyn Fn(&MessageDescriptor) -> DynamicMessage>> {
+fn right(method: &str) -> Vec<Box<Make>> {
     use proto::interact_request::Message as Up;
     use proto::offset_surface_light_field_settings::{Blend, Component};
-    fn as_is<M: Message + 'static>(message: M) -> Box<dyn Fn(&MessageDescriptor) -> DynamicMessage> {
+    fn as_is<M: Message + 'static>(message: M) -> Box<Make> {
         Box::new(move |kind| dynamic(kind, &message))
     }
     let oslf =
