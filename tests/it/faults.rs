@@ -3,13 +3,16 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
+use std::time::{Duration, Instant};
 
 use lumisphere_proto::v1alpha1 as wire;
 use wire::interact_request::Message as Up;
 use wire::offset_surface_light_field_settings::{Blend, Component};
 
 use crate::clients::with_dataset;
-use crate::process::{Server, binary, ended, temporary_folder, without_settings};
+use crate::gate::{Gate, Looking};
+use crate::process::{PATIENCE, Server, binary, ended, temporary_folder, without_settings};
+use crate::system::metric;
 use crate::viewers::{TRANSPORTS, Viewer, opening};
 use crate::wire::{camera_around, frame_request, output, settings};
 
@@ -103,6 +106,28 @@ async fn a_connection_has_as_many_streams_as_the_server_says_and_floods_of_reset
     assert_eq!(ended.reason(), Some(h2::Reason::ENHANCE_YOUR_CALM), "{ended}");
     // Others are served.
     server.system().await.get_version(wire::GetVersionRequest {}).await.unwrap();
+}
+
+/// Three times what a ping and its answer may take, as serve.rs has them.
+const KEEPALIVE: Duration = Duration::from_secs(120);
+
+/// Its sockets stay open, and nothing that is owed to it would be missed: only a ping finds out.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_viewer_that_is_gone_without_a_word_is_let_go() {
+    let (_folder, server) = with_dataset().await;
+    let gate = Gate::before(&server);
+    let mut looking = Looking::open(gate.channel().await).await;
+    looking.look(1).await;
+    while !looking.frame(PATIENCE).await.expect("a frame").is_final {}
+    assert_eq!(metric(&server, "sessions_active"), 1);
+    gate.set(Some(0));
+    let gone = Instant::now();
+    while metric(&server, "sessions_active") > 0 {
+        assert!(gone.elapsed() < KEEPALIVE, "its session is still open");
+        assert!(looking.frame(Duration::from_millis(500)).await.is_none());
+    }
+    // Another is welcome.
+    Viewer::open(&server, 1).await.leave().await;
 }
 
 #[tokio::test]

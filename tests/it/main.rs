@@ -15,6 +15,7 @@ mod exposure;
 mod faults;
 mod fits;
 mod fuzz;
+mod gate;
 mod ground_truth;
 mod grpc_web;
 mod killed;
