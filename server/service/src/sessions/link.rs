@@ -351,4 +351,17 @@ mod tests {
         }
         assert_eq!(last, 0.0);
     }
+
+    #[test]
+    fn another_way_has_all_credits_and_nothing_on_it() {
+        let way = Way { rtt: millis(5), full: millis(160) };
+        let mut link = Link::new(8);
+        way.carry(&mut link, 0.25, 400);
+        assert!(link.places() < 8);
+        let now = Instant::now();
+        link.sent(1000, Some(of(0.25)), now);
+        link.forget();
+        assert_eq!((link.places(), link.until_begun()), (8, None));
+        assert_eq!(link.acknowledged(1000, now + millis(50)), None);
+    }
 }

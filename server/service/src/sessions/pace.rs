@@ -459,6 +459,22 @@ mod tests {
     }
 
     #[test]
+    fn another_link_is_not_blamed_for_the_one_before() {
+        let full = |pace: &mut Pace| pace.arrived(share_of(pace.rung()), Some(90), 0.5);
+        let mut pace = Pace::new(30.0);
+        assert_eq!(pace.quality(Some(90)), Some(90));
+        // Tried, and taken back: the next try is far.
+        (0..20).for_each(|_| full(&mut pace));
+        (0..20).for_each(|_| pace.arrived(share_of(pace.rung()), Some(45), 0.0));
+        (0..20).for_each(|_| full(&mut pace));
+        let rung = pace.rung();
+        assert!(rung > 0 && !pace.tries.may_begin());
+        pace.forget_link();
+        pace.arrived(share_of(rung), Some(45), 0.0);
+        assert_eq!(pace.rung(), rung - 1);
+    }
+
+    #[test]
     fn bytes_grow_with_quality() {
         assert!((1..100).all(|q| bytes_of(q) < bytes_of(q + 1)));
         assert_eq!([bytes_of(90), bytes_of(75), bytes_of(100)], [1.0, 0.45, 2.5]);
