@@ -94,16 +94,18 @@ async fn a_connection_has_as_many_streams_as_the_server_says_and_floods_of_reset
     // Opened and given up at once, again and again.
     let flood = async {
         for _ in 0..100_000 {
-            let Ok(ready) = client.clone().ready().await else { return };
+            let Ok(ready) = client.clone().ready().await else { return true };
             client = ready;
-            let Ok((_, mut body)) = client.send_request(request(), false) else { return };
+            let Ok((_, mut body)) = client.send_request(request(), false) else { return true };
             body.send_reset(h2::Reason::CANCEL);
             tokio::task::yield_now().await;
         }
+        false
     };
-    flood.await;
+    assert!(flood.await, "all of them were taken");
     let ended = connection.await.unwrap().expect_err("the connection is ended");
-    assert_eq!(ended.reason(), Some(h2::Reason::ENHANCE_YOUR_CALM), "{ended}");
+    // Who still writes when it is closed does not always read why.
+    assert!(ended.reason().is_none_or(|reason| reason == h2::Reason::ENHANCE_YOUR_CALM), "{ended}");
     // Others are served.
     server.system().await.get_version(wire::GetVersionRequest {}).await.unwrap();
 }

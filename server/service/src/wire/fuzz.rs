@@ -13,6 +13,7 @@ use std::collections::BTreeMap;
 use std::fmt::Debug;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
+use lumisphere::textures::Trace;
 use prost::Message;
 use prost_reflect::{DescriptorPool, DynamicMessage, MessageDescriptor};
 use rand::RngExt;
@@ -137,7 +138,10 @@ fn check(method: &str, bytes: &[u8]) -> Option<Outcome> {
                 assert!((1..=256).contains(&cells), "{cells} outcomes");
                 Ok(())
             }
-            _ => Ok(()),
+            Some(proto::replay_trace_request::Message::Trace(bytes)) => {
+                Trace::from_bytes(&bytes).map(drop).map_err(|error| ApiError::field("trace", error))
+            }
+            None => Ok(()),
         }),
         "CreateDataset" => decoded::<proto::CreateDatasetRequest>(bytes, |m| dataset_name(&m.name, "name").map(drop)),
         "GetDataset" => decoded::<proto::GetDatasetRequest>(bytes, |m| dataset_name(&m.name, "name").map(drop)),
