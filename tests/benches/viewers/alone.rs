@@ -14,10 +14,7 @@ use lumisphere::scenes::Relighting;
 use lumisphere::textures::{Cache, CacheOptions, Store, StoreOptions};
 use lumisphere_proto::v1alpha1 as wire;
 
-use wire::interact_request::Message as Up;
-use wire::interact_response::Message as Down;
-
-use super::{DATASET, POSE, Server, Stand, Viewer, bound, quantile, temporary_folder};
+use super::{DATASET, Server, Stand, Viewer, bound, quantile, temporary_folder};
 
 const BYTES: u64 = 1 << 30;
 /// Of each in turn.
@@ -81,7 +78,7 @@ pub async fn alone(server: &Server, data: &Path, stand: &Stand) {
     let copy = temporary_folder();
     copy_folder(data, copy.path());
     let alone = Alone::open(copy.path());
-    let serve = async || served(Viewer::open(server.rendering().await, *stand, SIZE, 2).await).await;
+    let serve = async || Viewer::open(server.rendering().await, *stand, SIZE, 2).await.follow(ROUND, |_| ()).await;
     // Brings the pages of these poses to both.
     let _ = (serve().await, alone.walk(stand, ROUND));
     let (mut shares, mut rates) = (Vec::new(), Vec::new());
@@ -93,22 +90,6 @@ pub async fn alone(server: &Server, data: &Path, stand: &Stand) {
     println!("\nalone: frames a second, served and by the renderer alone, in turn: {rates:.2?}");
     let share = quantile(&mut shares, 0.5);
     bound("served / alone, median", share, 0.95, share >= 0.95);
-}
-
-/// A pose every 16 ms, as from a screen; frames a second.
-async fn served(mut viewer: Viewer) -> f64 {
-    let (begun, mut frames, mut poses) = (Instant::now(), 0.0, tokio::time::interval(POSE));
-    while begun.elapsed() < ROUND {
-        tokio::select! {
-            _ = poses.tick() => viewer.step().await,
-            frame = viewer.down.message() => {
-                let Some(Down::Frame(frame)) = frame.expect("a frame").and_then(|response| response.message) else { continue };
-                viewer.send(Up::Acknowledge(wire::FrameAcknowledgement { frame_id: frame.frame_id })).await;
-                frames += 1.0;
-            }
-        }
-    }
-    frames / begun.elapsed().as_secs_f64()
 }
 
 fn copy_folder(from: &Path, to: &Path) {
