@@ -264,7 +264,7 @@ fn capture_axes(mut s: Section, folder: &Path) -> anyhow::Result<Vec<Capture>> {
     let codec = Expected { text: "\"bits-chunk\", \"zstd-chunk\", \"zstd-seq\" or \"lzw-seq\"", read: &codec };
     let codecs = s.axis("codec", &codec)?.unwrap_or(vec![wire::Codec::Unspecified]);
     let seeds = s.axis("seed", &seed())?.unwrap_or(vec![0]);
-    let originals: &[(&str, wire::Original)] = &[("diffuse", wire::Original::Diffuse), ("as-authored", wire::Original::AsAuthored)];
+    let originals: &[(&str, wire::Original)] = &[("diffuse", wire::Original::Unspecified), ("as-authored", wire::Original::AsAuthored)];
     let original = |v: &Value| originals.iter().find(|(name, _)| v.as_str() == Some(name)).map(|(_, original)| *original);
     let original = Expected { text: "\"diffuse\" or \"as-authored\"", read: &original };
     let originals = s.axis("original", &original)?.unwrap_or(vec![wire::Original::Unspecified]);

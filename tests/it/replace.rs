@@ -55,7 +55,8 @@ fn another_object_in_captured_light_is_a_dataset_that_renders_and_names_what_it_
     let sum: f64 = shares.values().map(|share| share.as_f64().unwrap()).sum();
     assert!((sum - 1.0).abs() < 1e-9 && shares["background"].as_f64().unwrap() > 0.02, "{shares:?}");
     let said = server.succeed(&["job", "get", job["name"].as_str().unwrap()]);
-    assert!(said.contains("light of box version 1: ") && said.contains("cube maps "), "{said}");
+    let background = format!("background {:.1} %", 100.0 * shares["background"].as_f64().unwrap());
+    assert!(said.contains("light of box version 1: ") && said.contains(&background), "{said}");
 
     let out = folder.path().join("frames");
     let render = ["render", "--dataset", "new", "--frames", "1", "--size", "64x48", "--component", "reconstruction", "--out"];

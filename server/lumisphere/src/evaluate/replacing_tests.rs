@@ -147,7 +147,7 @@ fn errors(frames: &[(&Stored, Settings)]) -> Vec<[f64; 2]> {
     rows.iter().map(|row| [row.error.rmse_lab[0], row.error.delta_e_2000_mean]).collect()
 }
 
-/// 1.16 times the captured one's is measured (1.13 and .98), half of what the ball's cube maps show there.
+/// 1.15 times the captured one's is measured (1.12 and .98), half of what the ball's cube maps show there.
 #[test]
 fn a_mirror_in_replaced_light_is_near_the_truth() {
     let Fixture { light, captured, replaced, naive, .. } = fixture();

@@ -18,10 +18,10 @@ use crate::radiometry::color::Lab;
 use crate::radiometry::delta_e_2000;
 use crate::raytrace::{SampleSequence, TraceError, TraceSettings, Tracer};
 use crate::representations::offset_surface_light_field::{
-    Kept, OffsetSurfaceLightField, PlacementError, SamplePoint, Settings, Spacing, Thinning, ThinningError, ValidationPixel,
+    Component, Kept, OffsetSurfaceLightField, PlacementError, SamplePoint, Settings, Spacing, Thinning, ThinningError, ValidationPixel,
     ValidationView, place_sample_points,
 };
-use crate::representations::{PageSource, Settings as AnySettings};
+use crate::representations::{Original, PageSource, Settings as AnySettings};
 use crate::scenes::Scene;
 
 /// A window's edge: its rim tells only whether the pixels within count. Many small ones tell more than few large ones.
@@ -141,6 +141,7 @@ pub fn thin(
     plan: &ThinPlan,
     progress: &dyn Progress,
 ) -> Result<(OffsetSurfaceLightField, Kept, ThinReport), ThinError> {
+    field.check_original(&plan.settings).map_err(ThinningError::from)?;
     let name = &field.parameters.object;
     let object = scene.object(name).ok_or_else(|| ThinError::NoObject(name.clone()))?;
     let first_views = validation_views(scene, object, field, plan, 0, progress)?;
@@ -225,6 +226,10 @@ fn validation_views(
 ) -> Result<Vec<ValidationView>, ThinError> {
     let truths = TruthRenderer::new(scene, object)?;
     let settings = AnySettings::OffsetSurfaceLightField(plan.settings);
+    let kind = match (field.parameters.original, plan.settings.component) {
+        (Original::AsAuthored, Component::Reconstruction) => Truth::AsAuthored,
+        _ => Truth::OneReflection,
+    };
     let (low, high) = scene.objects[object].mesh.bounds();
     let distance = DISTANCE_RADII * 0.5 * (high - low).length();
     let places = place_sample_points(&field.surface, Spacing::Count(plan.windows))?;
@@ -234,8 +239,8 @@ fn validation_views(
         progress.report("tracing validation windows", number, 2 * count);
         let Some(camera) = window(place, distance, SampleSequence::new(plan.trace.seed, number, 0).pair()) else { continue };
         let seeded = TraceSettings { seed: plan.trace.seed.wrapping_add(number), ..plan.trace };
-        let truth = truths.view(&camera, &[Truth::OneReflection], &seeded, &Silent(progress))?;
-        let reference = truth.reference(&settings, Truth::OneReflection);
+        let truth = truths.view(&camera, &[kind], &seeded, &Silent(progress))?;
+        let reference = truth.reference(&settings, kind);
         let counts = (0..truth.mask.len()).filter(|at| truth.mask[*at]);
         let pixel =
             |at: usize| ValidationPixel { at: (at as u32 % WINDOW_PX, at as u32 / WINDOW_PX), reference: Vec3::from(reference.rgb(at)) };

@@ -2,7 +2,7 @@
 
 use super::bvh::{LANES, Node, Packet};
 use super::surfaces::SurfaceTriangle;
-use crate::scenes::{Environment, Object, Scene, Surface};
+use crate::scenes::{Environment, Object, Scene, Surface, Texture};
 
 /// Trees over it: with the captured object and without.
 const TREES: u64 = 2;
@@ -27,13 +27,17 @@ pub fn working_bytes(scene: &Scene) -> u64 {
     let tree = packets * (size_of::<Packet>() as f64 + size_of::<Node>() as f64 / 3.0);
     let traced =
         TREES * (triangles as f64 * (size_of::<SurfaceTriangle>() as f64 + tree)) as u64 + (triangles as f64 * BOXES * BUILDING) as u64;
-    let texels: u64 = scene.textures.iter().map(|t| (t.image.width * t.image.height) as u64).sum();
     let sky = match &scene.environment {
         Environment::Constant(_) => 0,
         Environment::Map(map) => (map.image.width * map.image.height) as u64,
     };
     let meshes: u64 = scene.objects.iter().map(mesh_bytes).sum();
-    meshes + traced + texels * COPIES * TEXEL + sky * (COPIES * TEXEL + SKY_TABLES)
+    meshes + traced + texture_bytes(&scene.textures) + sky * (COPIES * TEXEL + SKY_TABLES)
+}
+
+/// The part of that which textures have.
+pub fn texture_bytes<'t>(textures: impl IntoIterator<Item = &'t Texture>) -> u64 {
+    textures.into_iter().map(|t| (t.image.width * t.image.height) as u64 * COPIES * TEXEL).sum()
 }
 
 fn mesh_bytes(object: &Object) -> u64 {
@@ -60,7 +64,7 @@ mod tests {
         let with_triangles = working_bytes(&scene);
         // Its own twelve bytes, twice a record of a hundred and more.
         assert!(with_triangles > bare + 100_000 * 250, "{bare} → {with_triangles}");
-        scene.textures.push(crate::scenes::Texture { image: crate::images::Image::zeros(1000, 500, 3) });
+        scene.textures.push(Texture { image: crate::images::Image::zeros(1000, 500, 3) });
         assert_eq!(working_bytes(&scene), with_triangles + 500_000 * 60);
     }
 }

@@ -32,7 +32,7 @@ mod tests;
 
 pub(crate) use bvh::Bvh;
 pub(crate) use low_discrepancy::SampleSequence;
-pub use memory::working_bytes;
+pub use memory::{texture_bytes, working_bytes};
 pub use render::{Seen, TraceSettings, TracedImage};
 pub use tracer::{Appearance, Hit, Mirrors, TraceError, Tracer, Under};
 pub(crate) use traverse::Stack;

@@ -541,8 +541,8 @@ impl OffsetSurfaceLightField {
         (taps, PyramidLevel::for_texels(FOOTPRINT_WIDTH * taps.texels, self.parameters.coarser_levels))
     }
 
-    // What was captured as authored has its light and its reflections in it.
-    fn check_original(&self, settings: &Settings) -> Result<(), RenderError> {
+    /// What was captured as authored has its light and its reflections in it: neither can be added or exchanged.
+    pub fn check_original(&self, settings: &Settings) -> Result<(), RenderError> {
         let is_there_already = match settings.component {
             Component::Full => true,
             Component::Reconstruction => settings.light.changes_light(),

@@ -3,8 +3,8 @@
 //!
 //! A texel of a new cube map shows, along a ray, what is met first among the new object and what was around the old one (`Background`):
 //! - the new object: `ρ/π · E`, E baked at its vertices from the stored light and shadowed by itself (`stage.rs`);
-//! - the surroundings: their radiance as the old light field holds it (`surroundings.rs`), never from texels that show the old object, and near the
-//!   objects with the new one's shadow in place of the old one's (`changed_light.rs`);
+//! - the surroundings: their radiance as the old light field holds it (`surroundings.rs`), never from texels that show the old object, and with
+//!   the new one's shadow in place of the old one's (`changed_light.rs`);
 //! - nothing: the environment.
 //!
 //! Everything else, placing, coarser levels, sample maps, is what `construct.rs` does. Texels whose rays miss everything are infinitely far, so the
@@ -32,7 +32,7 @@ use crate::capture::{Background, CaptureError, SurfaceMesh, coarser_levels, stor
 use crate::directions::{CubeMap, FACES, Texel, texel_direction};
 use crate::geometry::{MeshError, Ray, TriangleMesh};
 use crate::progress::{Cancelled, Progress};
-use crate::raytrace::{Tracer, working_bytes};
+use crate::raytrace::{Tracer, texture_bytes, working_bytes};
 use crate::representations::{CountingSource, Original, PageSource, RenderError};
 use crate::scenes::{Albedo, Material, Object, Scene, Surface};
 use crate::textures::{Codec, PixelFormat, Staging};
@@ -114,9 +114,7 @@ impl Placement {
         let (turn, to) = (Quat::from_rotation_y(self.turn_deg.to_radians()), self.stand_at.unwrap_or(foot));
         let positions = mesh.positions.iter().map(|p| to + turn * (self.scale * (*p - foot))).collect();
         let normals = mesh.normals.iter().map(|n| turn * *n).collect();
-        let placed = TriangleMesh::new(positions, normals, mesh.uvs.clone(), mesh.triangles.clone())?;
-        // A triangle that is gone would leave the parts' numbers behind.
-        if placed.triangles.len() == mesh.triangles.len() { Ok(placed) } else { Err(MeshError::Empty) }
+        TriangleMesh::new(positions, normals, mesh.uvs.clone(), mesh.triangles.clone())
     }
 }
 
@@ -227,7 +225,11 @@ pub fn replace(
 
     progress.report("placing sample points", 0, 1);
     let dark = dark_scene(&field.background, &object.name, &surface.mesh);
-    let bytes = working_bytes(&dark);
+    let texture = match albedo {
+        Albedo::Texture(t) => Some(&scene.textures[t]),
+        Albedo::Constant(_) => None,
+    };
+    let bytes = working_bytes(&dark) + texture_bytes(field.background.textures.iter().chain(texture));
     if bytes > settings.scene_bytes {
         return Err(ReplaceError::TooLarge { bytes, limit_bytes: settings.scene_bytes });
     }
@@ -242,15 +244,12 @@ pub fn replace(
     let changed = {
         let old = dark_scene(&field.background, &field.parameters.object, &field.surface.mesh);
         let old = Tracer::new(&old).map_err(ConstructError::from)?;
-        let (old_low, old_high) = field.surface.mesh.bounds();
-        let around = (low.min(old_low), high.max(old_high));
-        let sphere = (0.5 * (around.0 + around.1), 0.5 * (around.1 - around.0).length());
-        ChangedLight::new(&field.background, (&old, &tracer), sphere, seed, progress)?
+        ChangedLight::new(&field.background, (&old, &tracer), seed, progress)?
     };
     let background = changed.background.clone();
     let fine = unlit(&surface.mesh, albedo, radius);
     let fine_mesh = fine.mesh.clone();
-    let mut with_object = Stage::with_object(changed, fine, &scene.textures);
+    let mut with_object = Stage::with_object(changed, fine, texture);
     with_object.light_object(&fine_mesh, &tracer, &surroundings, (max_bounces, seed), progress)?;
     let without_object = Stage::empty(&field.background, &surface.mesh);
 
@@ -336,7 +335,11 @@ fn placed(object: &Object, settings: &ReplaceSettings) -> Result<SurfaceMesh, Re
     let surface = SurfaceMesh::of(object);
     let mesh = settings.placement.place(&surface.mesh);
     let mesh = mesh.map_err(|source| ReplaceError::Placement { object: settings.object.clone(), source })?;
-    Ok(SurfaceMesh { mesh, ..surface })
+    // Slivers may be gone by rounding, and their parts with them; order stays.
+    let mut left = mesh.triangles.iter().peekable();
+    let parts = surface.mesh.triangles.iter().zip(&surface.part_of_triangle);
+    let part_of_triangle = parts.filter(|(t, _)| left.next_if_eq(t).is_some()).map(|(_, part)| *part).collect();
+    Ok(SurfaceMesh { mesh, part_of_triangle, parts: surface.parts })
 }
 
 /// Light is known where sample points are, and where the old object itself was.

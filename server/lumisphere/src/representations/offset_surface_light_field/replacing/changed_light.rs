@@ -1,7 +1,7 @@
 //! What is around the objects in the new one's shadow instead of the old one's.
 //!
 //! Baked light holds the shadow of the old object. The part of it that comes straight from the sky and from area lights is known twice over: with
-//! the old object there, and with the new one. `E' = E + E_direct(new) − E_direct(old)` at every vertex near them, both by the same random numbers, so that
+//! the old object there, and with the new one. `E' = E + E_direct(new) − E_direct(old)` at every vertex, however far (a low sun's shadow is long), both by the same random numbers, so that
 //! the difference is 0 where neither object is in the way. What either reflects onto its surroundings, and shadows of point lights, stay the old one's.
 
 use glam::Vec3;
@@ -12,8 +12,6 @@ use crate::capture::Background;
 use crate::progress::{Cancelled, Progress};
 use crate::raytrace::{TraceSettings, Tracer};
 
-/// Farther away, in radii of a sphere around both objects, neither hides more than a 400th of the sky.
-const REACH: f32 = 10.0;
 /// Paths of a side of a vertex.
 const SAMPLES: u32 = 64;
 /// Part of a vertex's light from which on it counts as changed.
@@ -29,14 +27,8 @@ pub(super) struct ChangedLight {
 }
 
 impl ChangedLight {
-    /// `old` and `new` are tracers of black surroundings with either object in them, `center` and `radius` of a sphere around both.
-    pub fn new(
-        background: &Background,
-        (old, new): (&Tracer, &Tracer),
-        (center, radius): (Vec3, f32),
-        seed: u64,
-        progress: &dyn Progress,
-    ) -> Result<Self, ReplaceError> {
+    /// `old` and `new` are tracers of black surroundings with either object in them.
+    pub fn new(background: &Background, (old, new): (&Tracer, &Tracer), seed: u64, progress: &dyn Progress) -> Result<Self, ReplaceError> {
         let mut changed = Self { background: background.clone(), is_changed: Vec::new() };
         let settings = TraceSettings { samples_per_pixel: SAMPLES, max_bounces: 0, seed };
         let total: usize = background.surfaces.iter().map(|s| s.mesh.positions.len()).sum();
@@ -52,9 +44,6 @@ impl ChangedLight {
                 let batch: Vec<bool> = places
                     .zip(&mut surface.irradiance[start..end])
                     .map(|((position, normal), sides)| {
-                        if !(position.distance(center) <= REACH * radius) {
-                            return false;
-                        }
                         let mut is_changed = false;
                         for (side, n) in sides.iter_mut().zip([*normal, -*normal]) {
                             let direct = |tracer: &Tracer| tracer.irradiance(*position, n, SAMPLES, &settings);

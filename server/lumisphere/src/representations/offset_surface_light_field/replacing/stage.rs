@@ -83,18 +83,15 @@ impl Stage {
         Self { bvh: Bvh::build(&triangles), geometry, object: None, is_changed: Vec::new() }
     }
 
-    /// With an object, which is dark; its albedo may name one of `textures`.
-    pub fn with_object(light: ChangedLight, object: BackgroundSurface, textures: &[Texture]) -> Self {
+    /// With an object, which is dark; `texture` is the one that its albedo names. No other: all share one pyramid, and many make it coarse.
+    pub fn with_object(light: ChangedLight, object: BackgroundSurface, texture: Option<&Texture>) -> Self {
         let ChangedLight { background, is_changed } = light;
-        let albedo = match object.albedo {
-            Some(Albedo::Texture(t)) => Some(Albedo::Texture(background.textures.len() + t)),
-            other => other,
-        };
+        let albedo = texture.map_or(object.albedo, |_| Some(Albedo::Texture(background.textures.len())));
         let mesh = object.mesh.clone();
         let number = background.surfaces.len() as u32;
         let mut all = background;
         all.surfaces.push(BackgroundSurface { albedo, ..object });
-        all.textures.extend_from_slice(textures);
+        all.textures.extend(texture.cloned());
         Self { object: Some(number), is_changed, ..Self::empty(&all, &mesh) }
     }
 

@@ -251,6 +251,31 @@ fn an_object_grows_and_turns_about_its_foot_and_stands_where_it_is_put() {
     assert!((Vec3::new(0.5 * (low.x + high.x), low.y, 0.5 * (low.z + high.z)) - Vec3::new(0.05, 0.1, 0.0)).length() < 1e-5);
 }
 
+#[test]
+fn slivers_that_rounding_takes_leave_the_rest_of_the_object() {
+    let (field, source) = light();
+    let root = tempfile::tempdir().unwrap();
+    let (_store, staging) = stage(root.path());
+    let mut with_sliver = new_scene();
+    let mesh = &with_sliver.objects[0].mesh;
+    let corner = mesh.positions[0];
+    // At 0 a billionth is a number, beside 0.05 it is none.
+    let at_zero = [Vec3::ZERO, Vec3::new(1e-9, 0.0, 0.0), Vec3::new(0.0, 0.0, 1e-9)].map(|p| p + Vec3::new(0.0, corner.y, 0.0));
+    let first = mesh.positions.len() as u32;
+    let positions = [&mesh.positions[..], &at_zero].concat();
+    let (normals, uvs) = (vec![Vec3::ZERO; positions.len()], [&mesh.uvs[..], &[Vec2::ZERO; 3]].concat());
+    let triangles = [&[[first, first + 1, first + 2]], &mesh.triangles[..]].concat();
+    let count = triangles.len();
+    let mesh = TriangleMesh::new(positions, normals, uvs, triangles).unwrap();
+    assert_eq!(mesh.triangles.len(), count);
+    with_sliver.objects[0].mesh = mesh;
+    let placement = Placement { stand_at: Some(Vec3::new(0.05, 0.1, 0.05)), turn_deg: 0.0, scale: 0.5 };
+    let settings = ReplaceSettings { placement, spacing: Spacing::Count(12), ..settings() };
+    let (parameters, _) = replace((&field, &source), &with_sliver, &settings, &staging, &Unattended).unwrap();
+    let made = load(&publish(staging, &parameters));
+    assert_eq!((made.surface.mesh.triangles.len(), made.surface.part_of_triangle.len()), (count - 1, count - 1));
+}
+
 struct CancelAfter(AtomicUsize);
 
 impl Progress for CancelAfter {
