@@ -61,3 +61,52 @@ impl ChangedLight {
         Ok(changed)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use glam::Vec2;
+
+    use super::super::dark_scene;
+    use super::*;
+    use crate::capture::BackgroundSurface;
+    use crate::geometry::TriangleMesh;
+    use crate::progress::Unattended;
+    use crate::scenes::{Albedo, Environment};
+
+    // A square across the X axis.
+    fn square(center: Vec3, half: f32, normal: Vec3) -> TriangleMesh {
+        let corners = [Vec3::new(0.0, -1.0, -1.0), Vec3::new(0.0, 1.0, -1.0), Vec3::new(0.0, 1.0, 1.0), Vec3::new(0.0, -1.0, 1.0)];
+        let triangles = if normal.x > 0.0 { vec![[0, 1, 2], [0, 2, 3]] } else { vec![[0, 2, 1], [0, 3, 2]] };
+        TriangleMesh::new(corners.map(|c| center + half * c).to_vec(), vec![normal; 4], vec![Vec2::ZERO; 4], triangles).unwrap()
+    }
+
+    #[test]
+    fn a_shadow_is_exchanged_however_far_it_falls() {
+        let surface = |mesh: TriangleMesh, emission: Vec3, irradiance: Vec3| BackgroundSurface {
+            irradiance: vec![[irradiance, Vec3::ZERO]; mesh.positions.len()],
+            albedo: Some(Albedo::Constant(Vec3::splat(0.5))),
+            emission,
+            mesh,
+        };
+        // A lamp of area 1, and a small wall 60 away; the post, of radius 1.4, hides all of one from the other.
+        let expected = Vec3::splat(100.0 / 3600.0);
+        let around = |on_wall: Vec3| Background {
+            surfaces: vec![
+                surface(square(Vec3::new(-30.0, 0.0, 0.0), 0.5, Vec3::X), Vec3::splat(100.0), Vec3::ZERO),
+                surface(square(Vec3::new(30.0, 0.0, 0.0), 0.2, Vec3::NEG_X), Vec3::ZERO, on_wall),
+            ],
+            textures: Vec::new(),
+            environment: Environment::Constant(Vec3::ZERO),
+        };
+        let (post, aside) = (square(Vec3::ZERO, 1.0, Vec3::X), square(Vec3::new(0.0, 0.0, 5.0), 1.0, Vec3::X));
+        for (old, new, before, after) in [(&post, &aside, Vec3::ZERO, expected), (&aside, &post, expected, Vec3::ZERO)] {
+            let background = around(before);
+            let tracer = |mesh: &TriangleMesh| Tracer::new(&dark_scene(&background, "object", mesh)).unwrap();
+            let changed = ChangedLight::new(&background, (&tracer(old), &tracer(new)), 3, &Unattended).unwrap();
+            assert_eq!(changed.is_changed, [[false; 4], [true; 4]].concat());
+            for [front, back] in &changed.background.surfaces[1].irradiance {
+                assert!((*front - after).abs().max_element() < 0.03 * expected.x && *back == Vec3::ZERO, "{front}, {after} expected");
+            }
+        }
+    }
+}
