@@ -268,6 +268,8 @@ fn capture_axes(mut s: Section, folder: &Path) -> anyhow::Result<Vec<Capture>> {
     let original = |v: &Value| originals.iter().find(|(name, _)| v.as_str() == Some(name)).map(|(_, original)| *original);
     let original = Expected { text: "\"diffuse\" or \"as-authored\"", read: &original };
     let originals = s.axis("original", &original)?.unwrap_or(vec![wire::Original::Unspecified]);
+    let placings = s.axis("placing", &Expected { text: "\"uniform\", \"curvature\" or \"error\"", read: &placing })?;
+    let placings = placings.unwrap_or(vec![wire::Placing::Unspecified]);
     s.finish()?;
 
     let mut all = vec![wire::CaptureSpec::default()];
@@ -282,6 +284,7 @@ fn capture_axes(mut s: Section, folder: &Path) -> anyhow::Result<Vec<Capture>> {
     all = crossed(&all, &codecs, |c, v| c.codec = (*v).into());
     all = crossed(&all, &seeds, |c, v| c.seed = *v);
     all = crossed(&all, &originals, |c, v| c.original = (*v).into());
+    all = crossed(&all, &placings, |c, v| c.placing = (*v).into());
     let scene = |name: &String| SceneFlags {
         scene: placed(name, folder),
         parameters: parameters.clone(),
@@ -308,6 +311,14 @@ fn crossed<S: Clone, T>(all: &[S], values: &[T], set: impl Fn(&mut S, &T)) -> Ve
         .collect()
 }
 
+// "uniform" is what is captured where nothing is said: the same job by the same name.
+const PLACINGS: [(&str, wire::Placing); 3] =
+    [("uniform", wire::Placing::Unspecified), ("curvature", wire::Placing::Curvature), ("error", wire::Placing::Error)];
+
+fn placing(value: &Value) -> Option<wire::Placing> {
+    PLACINGS.iter().find(|(name, _)| value.as_str() == Some(name)).map(|(_, placing)| *placing)
+}
+
 fn axes(c: &wire::CaptureSpec) -> BTreeMap<&'static str, String> {
     let format = wire::PixelFormat::try_from(c.pixel_format).unwrap_or_default();
     let density = match c.density {
@@ -325,6 +336,14 @@ fn axes(c: &wire::CaptureSpec) -> BTreeMap<&'static str, String> {
         ("format", if format == wire::PixelFormat::F32 { "f32".into() } else { "f16".into() }),
         ("codec", if c.codec == 0 { "0".into() } else { c.codec().as_str_name()["CODEC_".len()..].to_lowercase().replace('_', "-") }),
         ("seed", c.seed.to_string()),
+        (
+            "placing",
+            PLACINGS
+                .iter()
+                .find(|(_, placing)| *placing != wire::Placing::Unspecified && *placing == c.placing())
+                .map_or("0", |p| p.0)
+                .into(),
+        ),
         ("original", if c.original() == wire::Original::AsAuthored { "as-authored".into() } else { "0".into() }),
     ];
     // 0 is what was not given, but for the seed.

@@ -120,6 +120,9 @@ pub struct CaptureArguments {
     /// About how many sample points, 4 to 65534 [default: 1000]
     #[arg(long, value_name = "N", conflicts_with = "choose")]
     points: Option<u32>,
+    /// Where sample points lie denser
+    #[arg(long, value_enum, default_value = "uniform")]
+    placing: Placing,
     /// Texels along a cube-map face's edge: 16 to 1024, a multiple of 16 [default: 128]
     #[arg(long, value_name = "N", conflicts_with = "choose")]
     face_size_texels: Option<u32>,
@@ -148,6 +151,27 @@ pub struct CaptureArguments {
     seed: u64,
     #[command(flatten)]
     submit: SubmitFlags,
+}
+
+/// Where sample points lie denser.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Placing {
+    /// Nowhere
+    Uniform,
+    /// Where the surface bends
+    Curvature,
+    /// Where a small pilot capture cannot tell from its other points what one of them sees
+    Error,
+}
+
+impl Placing {
+    fn to_wire(self) -> wire::Placing {
+        match self {
+            Self::Uniform => wire::Placing::Uniform,
+            Self::Curvature => wire::Placing::Curvature,
+            Self::Error => wire::Placing::Error,
+        }
+    }
 }
 
 /// What an object looks like while it is captured.
@@ -559,6 +583,7 @@ async fn submit_capture(context: &Context, arguments: &CaptureArguments) -> anyh
         codec: codec_message(arguments.codec).into(),
         seed: arguments.seed,
         original: arguments.original.to_wire().into(),
+        placing: arguments.placing.to_wire().into(),
     };
     submit_and_tell(context, &server, Spec::Capture(spec), &arguments.submit).await
 }

@@ -19,8 +19,8 @@ use lumisphere::progress::Unattended;
 use lumisphere::raytrace::TraceSettings;
 use lumisphere::render::Renderer;
 use lumisphere::representations::offset_surface_light_field::{
-    BAKED_FIRST, Blend, Component, ConstructSettings, Filter, OffsetSurfaceLightField, Parameters, Placement, ReplaceSettings, Settings,
-    Spacing, Surrounding, build_sample_maps, construct, from_parts, replace,
+    BAKED_FIRST, Blend, Component, ConstructSettings, Filter, OffsetSurfaceLightField, Parameters, Placement, Placing, ReplaceSettings,
+    Settings, Spacing, Surrounding, build_sample_maps, construct, from_parts, replace,
 };
 use lumisphere::representations::{
     CachedPages, FrameRequest, Original, Outputs, Refine, RenderError, Representation, Settings as AnySettings,
@@ -116,6 +116,7 @@ fn captured(store: &Store, name: &str, scene: &Scene, object: &str) -> Stored {
         object: object.into(),
         epsilon: None,
         spacing: Spacing::Count(POINTS),
+        placing: Placing::Uniform,
         face_size_texels: FACE,
         sample_map_size_texels: MAP,
         pixel_format: PixelFormat::F16,

@@ -22,7 +22,7 @@ use lumisphere::geometry::{Camera, Intrinsics, Pose};
 use lumisphere::progress::Unattended;
 use lumisphere::render::{Backend, Frame, FrameRequest, Outputs, Refine, Renderer, Representation, Settings, UploadUnit};
 use lumisphere::representations::offset_surface_light_field::{
-    Blend, Component, ConstructSettings, Filter, OffsetSurfaceLightField, Settings as OslfSettings, Spacing, construct, from_parts,
+    Blend, Component, ConstructSettings, Filter, OffsetSurfaceLightField, Placing, Settings as OslfSettings, Spacing, construct, from_parts,
 };
 use lumisphere::representations::{CachedPages, Fetched, Original, PageSource, TexelReader};
 use lumisphere::scenes::{BuiltinOptions, Relighting, builtin};
@@ -347,6 +347,7 @@ fn captured(face_size: u32, points: u32, samples_per_texel: u32) -> Arc<DatasetV
         object: "teapot".into(),
         epsilon: None,
         spacing: Spacing::Count(points),
+        placing: Placing::Uniform,
         face_size_texels: face_size,
         sample_map_size_texels: 256,
         pixel_format: PixelFormat::F16,

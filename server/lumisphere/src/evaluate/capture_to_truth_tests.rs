@@ -16,7 +16,7 @@ use crate::representations::{FrameRequest, Outputs, Refine, RenderError, Represe
 use crate::scenes::{LoadOptions, Material, Relighting, SceneBundle, load};
 use crate::textures::{Codec, Page, PageId, PixelFormat, Publication, Store, StoreOptions};
 use oslf::tests::fixture::MemoryPages;
-use oslf::{Blend, Component, ConstructSettings, Filter, OffsetSurfaceLightField, Spacing, construct, from_parts};
+use oslf::{Blend, Component, ConstructSettings, Filter, OffsetSurfaceLightField, Placing, Spacing, construct, from_parts};
 
 // A white ball amid six walls that shine, each in a colour of its own and with a dark panel off its middle, so that no face of a cube map
 // looks like another, or turned like itself. Only the ball reflects, and it does not see itself: one bounce is all.
@@ -73,6 +73,7 @@ fn captured(scene: &Scene, original: Original) -> Stored {
         object: "ball".into(),
         epsilon: None,
         spacing: Spacing::Count(100),
+        placing: Placing::Uniform,
         face_size_texels: 32,
         sample_map_size_texels: 32,
         pixel_format: PixelFormat::F16,

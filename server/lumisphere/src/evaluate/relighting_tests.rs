@@ -17,7 +17,9 @@ use crate::representations::{FrameRequest, Outputs, Refine, RenderError, Represe
 use crate::scenes::{Environment, EnvironmentMap, LoadOptions, PointLight, SceneBundle, load};
 use crate::textures::{Codec, Page, PageId, PixelFormat, Publication, Staging, Store, StoreOptions};
 use oslf::tests::fixture::MemoryPages;
-use oslf::{Blend, Component, ConstructSettings, Filter, Gloss, OffsetSurfaceLightField, Parameters, Spacing, construct, from_parts};
+use oslf::{
+    Blend, Component, ConstructSettings, Filter, Gloss, OffsetSurfaceLightField, Parameters, Placing, Spacing, construct, from_parts,
+};
 
 fn scene() -> Scene {
     let json = br#"{"format": "neutral-scene/1",
@@ -71,6 +73,7 @@ pub(super) fn captured(scene: &Scene, object: &str, points: u32, epsilon: Option
         object: object.into(),
         epsilon,
         spacing: Spacing::Count(points),
+        placing: Placing::Uniform,
         face_size_texels: 32,
         sample_map_size_texels: 64,
         pixel_format: PixelFormat::F16,

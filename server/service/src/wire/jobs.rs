@@ -9,7 +9,7 @@ use lumisphere::fitting::{Outliers, Precision};
 use lumisphere::geometry::Camera;
 use lumisphere::render::Backend;
 use lumisphere::representations::Original;
-use lumisphere::representations::offset_surface_light_field::{Placement, Spacing};
+use lumisphere::representations::offset_surface_light_field::{Placement, Placing, Spacing};
 use lumisphere::representations::parameter_map::{self, AllowedModels, MOST_CANDIDATES, MOST_SUGGESTIONS, SuggestSettings};
 use lumisphere::textures::{Codec, ContentHash, PixelFormat};
 use prost::Message;
@@ -74,6 +74,8 @@ pub struct CaptureSpec {
     pub epsilon: Option<f32>,
     /// How far apart sample points lie.
     pub spacing: Spacing,
+    /// Where denser.
+    pub placing: Placing,
     /// Along a face's edge.
     pub face_size_texels: u32,
     /// Paths.
@@ -447,6 +449,7 @@ fn capture(m: proto::CaptureSpec, field: &str) -> Result<CaptureSpec, ApiError> 
         dataset: dataset_name(&m.dataset, &at("dataset"))?,
         epsilon: if m.offset == 0.0 { None } else { Some(positive(m.offset, &at("offset"))?) },
         spacing,
+        placing: placing(m.placing, &at("placing"))?,
         face_size_texels,
         samples_per_texel: count(m.samples_per_texel, 64, 1, 65_536, &at("samples_per_texel"))?,
         max_bounces: count(m.max_bounces, 8, 1, 64, &at("max_bounces"))?,
@@ -463,6 +466,15 @@ fn original(value: i32, field: &str) -> Result<Original, ApiError> {
         Ok(proto::Original::Unspecified | proto::Original::Diffuse) => Ok(Original::Diffuse),
         Ok(proto::Original::AsAuthored) => Ok(Original::AsAuthored),
         Err(_) => Err(ApiError::field(field, format!("{value}, DIFFUSE or AS_AUTHORED expected"))),
+    }
+}
+
+fn placing(value: i32, field: &str) -> Result<Placing, ApiError> {
+    match proto::Placing::try_from(value) {
+        Ok(proto::Placing::Unspecified | proto::Placing::Uniform) => Ok(Placing::Uniform),
+        Ok(proto::Placing::Curvature) => Ok(Placing::Curvature),
+        Ok(proto::Placing::Error) => Ok(Placing::Error),
+        Err(_) => Err(ApiError::field(field, format!("{value}, UNIFORM, CURVATURE or ERROR expected"))),
     }
 }
 

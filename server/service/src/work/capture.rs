@@ -26,6 +26,7 @@ impl Work {
             object: spec.object.clone(),
             epsilon: spec.epsilon,
             spacing: spec.spacing,
+            placing: spec.placing,
             face_size_texels: spec.face_size_texels,
             sample_map_size_texels: spec.sample_map_size_texels,
             pixel_format: spec.pixel_format,

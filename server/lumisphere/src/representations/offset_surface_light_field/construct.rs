@@ -3,8 +3,10 @@
 use glam::Vec3;
 use thiserror::Error;
 
-use super::sample_points::{PlacementError, Spacing, build_sample_maps, place_sample_points, spacing_of};
-use super::{NO_SAMPLE, OffsetSurfaceLightField, Parameters, SampleMaps, SamplePoint, to_parts};
+use super::density::{Density, curvature};
+use super::pilot::{PilotSettings, pilot_errors};
+use super::sample_points::{Placed, PlacementError, Spacing, build_sample_maps, place_by_density, spacing_of};
+use super::{NO_SAMPLE, OffsetSurfaceLightField, Parameters, Placing, SampleMaps, SamplePoint, to_parts};
 use crate::capture::{CaptureError, PartsError, SurfaceMesh, Viewpoint, bake_background, coarser_levels, trace_cube_maps};
 use crate::progress::{Cancelled, Progress};
 use crate::raytrace::{Appearance, TraceError, TraceSettings, Tracer};
@@ -21,6 +23,8 @@ pub struct ConstructSettings {
     pub epsilon: Option<f32>,
     /// How densely sample points lie.
     pub spacing: Spacing,
+    /// Where denser.
+    pub placing: Placing,
     /// Texels along a cube-map face.
     pub face_size_texels: u32,
     /// Texels along a sample map.
@@ -112,17 +116,27 @@ pub fn construct(
     let (center, radius) = (0.5 * (low + high), 0.5 * (high - low).length());
     check(settings)?;
 
-    progress.report("placing sample points", 0, 1);
     let surface = SurfaceMesh::of(object);
     let appearance = match settings.original {
         Original::Diffuse => Appearance::Diffuse,
         Original::AsAuthored => Appearance::AsAuthored,
     };
     let tracer = Tracer::new(scene)?.with_appearance(index, appearance);
-    let (sample_points, epsilon) = points_off(&surface, settings.spacing, settings.epsilon, &tracer)?;
+    let trace = TraceSettings { samples_per_pixel: settings.samples_per_texel, max_bounces: settings.max_bounces, seed: settings.seed };
+    let (sample_points, epsilon) = {
+        let density = match settings.placing {
+            Placing::Uniform => Density::uniform(),
+            Placing::Curvature => Density::by(&surface, curvature(&surface)),
+            Placing::Error => {
+                let pilot = PilotSettings { spacing: settings.spacing, face_size_texels: settings.face_size_texels, trace };
+                Density::by(&surface, pilot_errors(&surface, &pilot, &tracer, progress)?)
+            }
+        };
+        progress.report("placing sample points", 0, 1);
+        points_off(&surface, (settings.spacing, &density), settings.epsilon, &tracer)?
+    };
     progress.report("placing sample points", 1, 1);
 
-    let trace = TraceSettings { samples_per_pixel: settings.samples_per_texel, max_bounces: settings.max_bounces, seed: settings.seed };
     let without_object = tracer.without_object(index);
     let mut viewpoints: Vec<Viewpoint<'_>> = sample_points.iter().map(|p| Viewpoint { tracer: &tracer, position: p.position }).collect();
     viewpoints.push(Viewpoint { tracer: &without_object, position: center });
@@ -140,6 +154,7 @@ pub fn construct(
         coarser_levels: coarser_levels(settings.face_size_texels),
         sample_map_size_texels: settings.sample_map_size_texels,
         spacing: settings.spacing,
+        placing: settings.placing,
         object_center: center.to_array(),
         samples_per_texel: settings.samples_per_texel,
         max_bounces: settings.max_bounces,
@@ -181,14 +196,16 @@ fn check(settings: &ConstructSettings) -> Result<(), ConstructError> {
 /// The sample points of a surface in `tracer`'s scene, and their ε. At least one.
 pub(super) fn points_off(
     surface: &SurfaceMesh,
-    spacing: Spacing,
+    (spacing, density): (Spacing, &Density<'_>),
     epsilon: Option<f32>,
     tracer: &Tracer,
 ) -> Result<(Vec<SamplePoint>, f32), ConstructError> {
-    let placed = place_sample_points(surface, spacing)?;
-    let epsilon = epsilon.unwrap_or_else(|| DEFAULT_EPSILON_PER_SPACING * spacing_of(surface, placed.len()));
-    let sample_points = offset_points(&placed, epsilon, tracer);
-    if sample_points.is_empty() { Err(ConstructError::AllInside(placed.len())) } else { Ok((sample_points, epsilon)) }
+    let placed = place_by_density(surface, spacing, density)?;
+    let mean = DEFAULT_EPSILON_PER_SPACING * spacing_of(surface, placed.len());
+    // Where none is given, it is a part of the spacing around each.
+    let of_point = |placed: &Placed| epsilon.unwrap_or(mean / placed.density.sqrt());
+    let sample_points = offset_points(&placed, of_point, tracer);
+    if sample_points.is_empty() { Err(ConstructError::AllInside(placed.len())) } else { Ok((sample_points, epsilon.unwrap_or(mean))) }
 }
 
 /// The sample maps of a surface in `tracer`'s scene.
@@ -200,19 +217,24 @@ pub(super) fn sample_maps_of(
     progress: &dyn Progress,
 ) -> SampleMaps {
     progress.report("building sample maps", 0, 1);
-    let lift = 0.1 * epsilon;
-    let visible = |texel: SamplePoint, sample: Vec3| !tracer.occluded(texel.position + lift * texel.normal, sample);
-    let sample_maps = build_sample_maps(surface, sample_points, size_texels as usize, &visible);
+    let sample_maps = build_sample_maps(surface, sample_points, size_texels as usize, &visibility(epsilon, tracer));
     progress.report("building sample maps", 1, 1);
     sample_maps
 }
 
-// Points lifted by ε; those inside other geometry, or cut off from their surface by it, are dropped.
-fn offset_points(placed: &[SamplePoint], epsilon: f32, tracer: &Tracer) -> Vec<SamplePoint> {
+/// Whether the surface point sees the sample point.
+pub(super) fn visibility(epsilon: f32, tracer: &Tracer) -> impl Fn(SamplePoint, Vec3) -> bool + Sync {
+    let lift = 0.1 * epsilon;
+    move |texel, sample| !tracer.occluded(texel.position + lift * texel.normal, sample)
+}
+
+// Points lifted by their ε; those inside other geometry, or cut off from their surface by it, are dropped.
+fn offset_points(placed: &[Placed], epsilon: impl Fn(&Placed) -> f32, tracer: &Tracer) -> Vec<SamplePoint> {
+    let lifted = |placed: &Placed, by: f32| SamplePoint { position: placed.point.position + by * placed.point.normal, ..placed.point };
     placed
         .iter()
-        .map(|p| (p.position + 0.1 * epsilon * p.normal, SamplePoint { position: p.position + epsilon * p.normal, normal: p.normal }))
-        .filter(|(lifted, p)| !tracer.occluded(*lifted, p.position) && !tracer.is_inside_geometry(p.position))
+        .map(|p| (lifted(p, 0.1 * epsilon(p)), lifted(p, epsilon(p))))
+        .filter(|(low, p)| !tracer.occluded(low.position, p.position) && !tracer.is_inside_geometry(p.position))
         .map(|(_, p)| p)
         .take(usize::from(NO_SAMPLE) - 1)
         .collect()

@@ -69,6 +69,7 @@ fn settings() -> ConstructSettings {
         object: "ball".into(),
         epsilon: Some(0.1),
         spacing: Spacing::Count(24),
+        placing: Placing::Uniform,
         face_size_texels: 16,
         sample_map_size_texels: 16,
         pixel_format: PixelFormat::F32,
@@ -295,4 +296,41 @@ fn senseless_settings_are_refused_by_name() {
     assert!(refuse(ConstructSettings { samples_per_texel: 0, ..settings() }).contains("samples per texel"));
     assert!(refuse(ConstructSettings { spacing: Spacing::Distance(0.0), ..settings() }).contains("spacing"));
     assert_eq!(staging.pages_present().len(), 0);
+}
+
+#[test]
+fn a_pilot_puts_sample_points_where_they_differ_and_the_same_ones_on_any_number_of_threads() {
+    let built = |placing, threads| {
+        let root = tempfile::tempdir().unwrap();
+        let (_store, staging) = stage(root.path());
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let settings = ConstructSettings { placing, spacing: Spacing::Count(200), epsilon: None, face_size_texels: 8, ..settings() };
+        let parameters = pool.install(|| construct(&ball_on_table(), &settings, &staging, &Unattended)).unwrap();
+        assert_eq!(parameters.placing, placing);
+        load(&publish(staging, &parameters))
+    };
+    let [uniform, by_error] = [Placing::Uniform, Placing::Error].map(|placing| built(placing, 2));
+    assert_eq!(by_error.sample_points, built(Placing::Error, 1).sample_points);
+    // The ball's lower half sees the table and its shadow, the upper one little but an even sky.
+    let below = |field: &OffsetSurfaceLightField| {
+        assert!(field.sample_points.len().abs_diff(200) < 20);
+        field.sample_points.iter().filter(|p| p.normal.y < -0.2).count()
+    };
+    assert!(
+        4 * below(&by_error) > 5 * below(&uniform),
+        "{} of {} by error, {} uniform",
+        below(&by_error),
+        by_error.sample_points.len(),
+        below(&uniform)
+    );
+    // Where they lie apart they lie high: half the distance to a neighbour off the ball.
+    let center = Vec3::Y * 1.2;
+    let height = |p: &SamplePoint| p.position.distance(center) - 1.0;
+    let mean = |field: &OffsetSurfaceLightField, above: bool| {
+        let heights: Vec<f32> =
+            field.sample_points.iter().filter(|p| (p.normal.y > 0.5) == above && p.normal.y.abs() > 0.5).map(height).collect();
+        heights.iter().sum::<f32>() / heights.len() as f32
+    };
+    assert!(mean(&by_error, true) > 1.2 * mean(&by_error, false), "{} above, {} below", mean(&by_error, true), mean(&by_error, false));
+    assert!((mean(&uniform, true) - mean(&uniform, false)).abs() < 0.02 * mean(&uniform, true));
 }

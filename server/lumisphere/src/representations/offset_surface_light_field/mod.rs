@@ -23,10 +23,12 @@
 mod coarse;
 mod construct;
 mod corrected;
+mod density;
 mod gloss;
 #[cfg(feature = "gpu")]
 mod kernel;
 mod object_tree;
+mod pilot;
 mod prefiltered;
 mod reference;
 mod reflections;
@@ -60,6 +62,7 @@ use crate::scenes::Relighting;
 use crate::textures::{ContentHash, PageId, PageShape};
 
 pub use construct::{ConstructError, ConstructSettings, construct};
+pub use density::Placing;
 #[cfg(all(test, feature = "gpu"))]
 pub(crate) use kernel::SOURCE as KERNEL_SOURCE;
 pub use replacing::{BAKED_FIRST, Placement, ReplaceError, ReplaceSettings, Shares, Surrounding, replace};
@@ -123,7 +126,7 @@ pub struct OffsetSurfaceLightField {
 pub struct Parameters {
     /// Name of the object whose light field this is.
     pub object: String,
-    /// Distance of the sample points from the surface.
+    /// Distance of the sample points from the surface; where it was not given and they lie denser in places, of those with the mean density.
     pub epsilon: f32,
     /// Texels along a cube-map face.
     pub face_size_texels: u32,
@@ -131,8 +134,11 @@ pub struct Parameters {
     pub coarser_levels: u32,
     /// Texels along a sample map.
     pub sample_map_size_texels: u32,
-    /// How the sample points were placed.
+    /// How far apart the sample points were placed.
     pub spacing: Spacing,
+    /// Where denser.
+    #[serde(default, skip_serializing_if = "Placing::is_uniform")]
+    pub placing: Placing,
     /// Centre of the object's bounds, where the baseline environment map was taken.
     pub object_center: [f32; 3],
     /// Paths per texel of the capture.

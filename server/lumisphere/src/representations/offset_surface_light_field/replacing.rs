@@ -26,8 +26,9 @@ use serde::Serialize;
 use thiserror::Error;
 
 use super::construct::{ConstructError, check_epsilon, points_off, sample_maps_of, within};
+use super::density::Density;
 use super::relight::environment_over;
-use super::{OffsetSurfaceLightField, Parameters, Replaced, Spacing, to_parts};
+use super::{OffsetSurfaceLightField, Parameters, Placing, Replaced, Spacing, to_parts};
 use crate::capture::{Background, CaptureError, SurfaceMesh, coarser_levels, store_cube_maps};
 use crate::directions::{CubeMap, FACES, Texel, texel_direction};
 use crate::geometry::{MeshError, Ray, TriangleMesh};
@@ -235,7 +236,7 @@ pub fn replace(
     }
     let tracer = Tracer::new(&dark).map_err(ConstructError::from)?;
     drop(dark);
-    let (sample_points, epsilon) = points_off(&surface, settings.spacing, settings.epsilon, &tracer)?;
+    let (sample_points, epsilon) = points_off(&surface, (settings.spacing, &Density::uniform()), settings.epsilon, &tracer)?;
     progress.report("placing sample points", 1, 1);
 
     let pages = CountingSource::new(source);
@@ -278,6 +279,7 @@ pub fn replace(
         coarser_levels: coarser_levels(settings.face_size_texels),
         sample_map_size_texels: settings.sample_map_size_texels,
         spacing: settings.spacing,
+        placing: Placing::Uniform,
         object_center: center.to_array(),
         samples_per_texel: (filling.steps * filling.steps) as u32,
         max_bounces,

@@ -8,6 +8,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+use super::density::Density;
 use super::{CONSTRUCTION_HORIZON_DEG, NO_SAMPLE, SampleMaps, SamplePoint};
 use crate::capture::{SurfaceMesh, SurfaceTexel, surface_texels};
 
@@ -53,21 +54,42 @@ const CANDIDATES_PER_POINT: f32 = 24.0;
 // Random discs of minimum distance d cover the plane at about 0.7 points per d² (maximal Poisson-disc sets).
 const POINTS_PER_SQUARE_SPACING: f32 = 0.7;
 
+/// A point of a surface, and where in its mesh.
+pub(super) struct SurfacePoint {
+    pub at: SamplePoint,
+    pub triangle: usize,
+    /// Barycentric, of the triangle's corners.
+    pub weights: Vec3,
+}
+
+/// A sample point not yet offset, and how dense its neighbours lie, relative to the mean.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Placed {
+    pub point: SamplePoint,
+    pub density: f32,
+}
+
 /// Surface points (not yet offset) and their normals at the spacing asked for, by dart throwing in a fixed low-discrepancy order.
 ///
 /// Points on opposite sides of a thin wall do not keep each other away. The same mesh and spacing give the same points.
 pub fn place_sample_points(surface: &SurfaceMesh, spacing: Spacing) -> Result<Vec<SamplePoint>, PlacementError> {
-    let area = area(surface);
+    Ok(place_by_density(surface, spacing, &Density::uniform())?.into_iter().map(|placed| placed.point).collect())
+}
+
+/// The same, denser in places: the distance asked for, or that at which there are as many as asked for, is kept where the density is 1, and elsewhere
+/// `distance / √density`; between two points the mean of theirs.
+pub(super) fn place_by_density(surface: &SurfaceMesh, spacing: Spacing, density: &Density<'_>) -> Result<Vec<Placed>, PlacementError> {
+    let mut darts = Darts { candidates: Candidates::of(surface), area: area(surface), density, densities: Vec::new() };
     match spacing {
-        Spacing::Distance(distance) if distance > 0.0 && distance.is_finite() => throw_darts(surface, area, distance),
+        Spacing::Distance(distance) if distance > 0.0 && distance.is_finite() => darts.throw(distance),
         Spacing::Count(count) if count >= 4 => {
             // The count falls as the spacing grows: bisect on the spacing, 12 halvings of a factor of four.
             let guess = spacing_of(surface, count as usize);
             let (mut low, mut high) = (0.5 * guess, 2.0 * guess);
-            let mut best = throw_darts(surface, area, guess)?;
+            let mut best = darts.throw(guess)?;
             for _ in 0..12 {
                 let middle = (low * high).sqrt();
-                let points = throw_darts(surface, area, middle)?;
+                let points = darts.throw(middle)?;
                 let closer = |n: usize| n.abs_diff(count as usize);
                 if points.len() > count as usize {
                     low = middle;
@@ -87,53 +109,81 @@ pub fn place_sample_points(surface: &SurfaceMesh, spacing: Spacing) -> Result<Ve
     }
 }
 
-fn throw_darts(surface: &SurfaceMesh, area: f32, spacing: f32) -> Result<Vec<SamplePoint>, PlacementError> {
-    let expected = area * POINTS_PER_SQUARE_SPACING / (spacing * spacing);
-    if !(expected < f32::from(NO_SAMPLE - 1)) {
-        return Err(PlacementError::TooMany { spacing, area, points: expected as u64 });
-    }
-    let mesh = &surface.mesh;
-    let mut cumulative_area = Vec::with_capacity(mesh.triangles.len());
-    let mut sum = 0f64;
-    for t in 0..mesh.triangles.len() {
-        sum += f64::from(mesh.area_vector(t).length());
-        cumulative_area.push(sum);
-    }
-    let candidates = (CANDIDATES_PER_POINT * expected).ceil().max(64.0) as u64;
-    let mut points: Vec<SamplePoint> = Vec::new();
-    let mut grid: HashMap<IVec3, Vec<u32>> = HashMap::new();
-    for i in 0..candidates {
-        let candidate = candidate(surface, &cumulative_area, i);
-        let cell = (candidate.position / spacing).floor().as_ivec3();
-        let crowded = neighbours(cell).filter_map(|c| grid.get(&c)).flatten().any(|j| {
-            let other = &points[*j as usize];
-            other.position.distance(candidate.position) < spacing && other.normal.dot(candidate.normal) > 0.0
-        });
-        if !crowded && points.len() < usize::from(NO_SAMPLE - 1) {
-            grid.entry(cell).or_default().push(points.len() as u32);
-            points.push(candidate);
+/// Dart throwing over a surface.
+struct Darts<'a> {
+    candidates: Candidates<'a>,
+    area: f32,
+    density: &'a Density<'a>,
+    /// Of the candidates up to now: what a pilot capture tells is dear.
+    densities: Vec<f32>,
+}
+
+impl Darts<'_> {
+    fn throw(&mut self, spacing: f32) -> Result<Vec<Placed>, PlacementError> {
+        let expected = self.area * POINTS_PER_SQUARE_SPACING / (spacing * spacing);
+        if !(expected < f32::from(NO_SAMPLE - 1)) {
+            return Err(PlacementError::TooMany { spacing, area: self.area, points: expected as u64 });
         }
+        let count = (CANDIDATES_PER_POINT * self.density.most() * expected).ceil().max(64.0) as usize;
+        let Self { candidates, density, .. } = &*self;
+        let more: Vec<f32> = (self.densities.len()..count).into_par_iter().map(|i| density.at(&candidates.at(i as u64))).collect();
+        self.densities.extend(more);
+        let widest = spacing / self.density.least().sqrt();
+        let mut points: Vec<Placed> = Vec::new();
+        let mut grid: HashMap<IVec3, Vec<u32>> = HashMap::new();
+        for (i, &density) in (0..).zip(&self.densities[..count]) {
+            let point = self.candidates.at(i).at;
+            let own = spacing / density.sqrt();
+            let cell = (point.position / widest).floor().as_ivec3();
+            let crowded = neighbours(cell).filter_map(|c| grid.get(&c)).flatten().any(|j| {
+                let Placed { point: other, density } = &points[*j as usize];
+                let least = 0.5 * (own + spacing / density.sqrt());
+                other.position.distance(point.position) < least && other.normal.dot(point.normal) > 0.0
+            });
+            if !crowded && points.len() < usize::from(NO_SAMPLE - 1) {
+                grid.entry(cell).or_default().push(points.len() as u32);
+                points.push(Placed { point, density });
+            }
+        }
+        Ok(points)
     }
-    Ok(points)
 }
 
 fn neighbours(cell: IVec3) -> impl Iterator<Item = IVec3> {
     (0..27).map(move |k| cell + IVec3::new(k % 3 - 1, k / 3 % 3 - 1, k / 9 - 1))
 }
 
-// Candidate i: area-uniform by the R3 sequence (Roberts 2018, generalised golden ratio g with g⁴ = g + 1).
-fn candidate(surface: &SurfaceMesh, cumulative_area: &[f64], i: u64) -> SamplePoint {
-    const G: f64 = 1.220_744_084_605_759_5;
-    let sequence = |power: i32| (0.5 + (i + 1) as f64 * G.powi(-power)).fract();
-    let total = cumulative_area[cumulative_area.len() - 1];
-    let t = cumulative_area.partition_point(|a| *a <= sequence(1) * total).min(cumulative_area.len() - 1);
-    let (root, b) = ((sequence(2) as f32).sqrt(), sequence(3) as f32);
-    let weights = Vec3::new(1.0 - root, root * (1.0 - b), root * b);
-    let mesh = &surface.mesh;
-    let [i0, i1, i2] = mesh.triangles[t].map(|v| v as usize);
-    SamplePoint {
-        position: weights.x * mesh.positions[i0] + weights.y * mesh.positions[i1] + weights.z * mesh.positions[i2],
-        normal: (weights.x * mesh.normals[i0] + weights.y * mesh.normals[i1] + weights.z * mesh.normals[i2]).normalize_or(Vec3::Y),
+/// Points spread evenly over a surface, by the R3 sequence (Roberts 2018, generalised golden ratio g with g⁴ = g + 1).
+pub(super) struct Candidates<'a> {
+    surface: &'a SurfaceMesh,
+    /// Of the triangles up to and with each.
+    cumulative_area: Vec<f64>,
+}
+
+impl<'a> Candidates<'a> {
+    pub fn of(surface: &'a SurfaceMesh) -> Self {
+        let mut sum = 0f64;
+        let add = |t: usize| {
+            sum += f64::from(surface.mesh.area_vector(t).length());
+            sum
+        };
+        Self { surface, cumulative_area: (0..surface.mesh.triangles.len()).map(add).collect() }
+    }
+
+    pub fn at(&self, i: u64) -> SurfacePoint {
+        const G: f64 = 1.220_744_084_605_759_5;
+        let sequence = |power: i32| (0.5 + (i + 1) as f64 * G.powi(-power)).fract();
+        let last = self.cumulative_area.len() - 1;
+        let triangle = self.cumulative_area.partition_point(|a| *a <= sequence(1) * self.cumulative_area[last]).min(last);
+        let (root, b) = ((sequence(2) as f32).sqrt(), sequence(3) as f32);
+        let weights = Vec3::new(1.0 - root, root * (1.0 - b), root * b);
+        let mesh = &self.surface.mesh;
+        let corners = mesh.triangles[triangle].map(|v| v as usize);
+        let [p, q, r] = corners.map(|v| mesh.positions[v]);
+        let [l, m, n] = corners.map(|v| mesh.normals[v]);
+        let position = weights.x * p + weights.y * q + weights.z * r;
+        let normal = (weights.x * l + weights.y * m + weights.z * n).normalize_or(Vec3::Y);
+        SurfacePoint { at: SamplePoint { position, normal }, triangle, weights }
     }
 }
 

@@ -82,7 +82,7 @@ mod tests {
 
     use glam::{Vec2, Vec3};
 
-    use super::super::Spacing;
+    use super::super::{Placing, Spacing};
     use super::*;
     use crate::capture::{Background, BackgroundSurface, SurfaceMesh};
     use crate::geometry::TriangleMesh;
@@ -109,6 +109,7 @@ mod tests {
                 coarser_levels: 2,
                 sample_map_size_texels: 2,
                 spacing: Spacing::Count(4),
+                placing: Placing::Uniform,
                 object_center: [0.0; 3],
                 samples_per_texel: 1,
                 max_bounces: 1,

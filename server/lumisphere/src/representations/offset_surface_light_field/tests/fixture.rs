@@ -13,7 +13,7 @@ use crate::images::Image;
 pub(crate) use crate::representations::MemoryPages;
 use crate::representations::Original;
 use crate::representations::offset_surface_light_field::{
-    NO_SAMPLE, OffsetSurfaceLightField, Parameters, SamplePoint, Spacing, build_sample_maps,
+    NO_SAMPLE, OffsetSurfaceLightField, Parameters, Placing, SamplePoint, Spacing, build_sample_maps,
 };
 use crate::scenes::{Albedo, Environment, EnvironmentMap, Texture};
 use crate::textures::{DatasetVersion, Page, PageId, PageShape, PixelFormat, Publication, Store, StoreOptions};
@@ -152,6 +152,7 @@ impl World {
             coarser_levels: levels as u32,
             sample_map_size_texels: 16,
             spacing: Spacing::Count(self.points as u32),
+            placing: Placing::Uniform,
             object_center: [0.0; 3],
             samples_per_texel: 1,
             max_bounces: 1,

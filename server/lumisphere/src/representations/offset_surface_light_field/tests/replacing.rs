@@ -116,6 +116,7 @@ fn light() -> (OffsetSurfaceLightField, MemoryPages) {
         object: "column".into(),
         epsilon: Some(0.15),
         spacing: Spacing::Count(60),
+        placing: Placing::Uniform,
         face_size_texels: 16,
         sample_map_size_texels: 16,
         pixel_format: PixelFormat::F32,
