@@ -19,8 +19,8 @@ const OUTBOX: usize = 1024;
 
 /// The least time of so many calls is the round trip.
 const ROUND_TRIPS: usize = 3;
-/// Frames a second of a path whose frames are all kept: its credits are made for so many.
-const PATH_RATE: f32 = 30.0;
+/// Where each frame is awaited before the next pose: a coarse one, and the one that is final.
+const PATH_CREDITS: u32 = 2;
 /// The most that a server takes.
 const MOST_CREDITS: f32 = 16.0;
 
@@ -49,11 +49,13 @@ pub enum Wanted {
 }
 
 impl Interaction {
-    /// With as many credits as fill the way to the server at the rate that is asked for. The server answers a bad opening with the first
+    /// With as many credits as fill the way to the server at the rate that is asked for, few for a rate of 0. The server answers a bad opening with the first
     /// `next`.
     pub async fn open(context: &Context, server: &Server, mut open: wire::OpenInteraction) -> anyhow::Result<Self> {
-        let rate = open.moving_frames_per_second.filter(|rate| *rate > 0.0).unwrap_or(PATH_RATE);
-        open.credits = credits(round_trip(context, server).await?, rate);
+        open.credits = match open.moving_frames_per_second {
+            Some(rate) if rate > 0.0 => credits(round_trip(context, server).await?, rate),
+            _ => PATH_CREDITS,
+        };
         let (up, messages) = mpsc::channel(OUTBOX);
         let _ = up.send(wire::InteractRequest { message: Some(Up::Open(open)) }).await;
         let down = server.rendering().interact(context.patient_request(ReceiverStream::new(messages))).await?.into_inner();

@@ -555,6 +555,10 @@ mod tests {
         let file = parse(&LEAST.replace("object", "points = [40, 80]\nobject")).unwrap();
         assert_eq!(file.variants(), ["40", "80"].map(|p| BTreeMap::from([("points".to_string(), p.to_string())])));
         assert_eq!(parse(LEAST).unwrap().variants(), [BTreeMap::new()]);
+        // What is usual is the same job, said or not.
+        let file = parse(&LEAST.replace("object", "placing = [\"uniform\", \"error\"]\nobject")).unwrap();
+        assert_eq!(file.variants(), [BTreeMap::new(), BTreeMap::from([("placing".to_string(), "error".to_string())])]);
+        assert_eq!(file.captures[0].spec, parse(LEAST).unwrap().captures[0].spec);
     }
 
     #[test]
@@ -566,6 +570,7 @@ mod tests {
         );
         assert_eq!(with("points = []"), "s.toml: capture.points is empty, at least one value expected (4 to 65534)");
         assert_eq!(with("points = 9\nspacing = 0.5"), "s.toml: capture.points and spacing exclude each other");
+        assert_eq!(with("placing = \"dense\""), "s.toml: capture.placing is \"dense\", \"uniform\", \"curvature\" or \"error\" expected");
         assert_eq!(with("epsilon = nan"), "s.toml: capture.epsilon is nan, a positive number expected");
         assert!(with("face_size = 32").starts_with("s.toml: capture.face_size is no key here, one of "));
         assert_eq!(

@@ -43,9 +43,13 @@ fn what_was_captured_as_authored_is_compared_with_that_and_not_lit_or_coated_onc
     let error = job["result"]["summary"]["thinning"]["report"]["error_before"].as_f64().unwrap_or_else(|| panic!("{job:#}"));
     // .083 is measured, .107 against the matte object.
     assert!(error < 0.095, "{error}");
+    // Refused where it is asked for, before there is a job.
+    let jobs = || server.json(&["job", "list"]);
+    let before = jobs();
     let output = thin("full");
     let text = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(!output.status.success() && text.contains("captured as authored"), "{text}");
+    assert_eq!(jobs(), before);
 
     let manifest = server.json(&["dataset", "get", "shiny"]);
     assert!(manifest.to_string().contains("as_authored"), "{manifest:#}");

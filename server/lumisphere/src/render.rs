@@ -241,6 +241,8 @@ impl Renderer {
         request: &FrameRequest<'_>,
         fallback: Option<String>,
     ) -> Result<PendingFrame, RenderError> {
+        // What the device drew before shall not wait for this.
+        self.settle();
         let begin = Instant::now();
         let kernel = self.cpu_kernel(representation);
         let prepare_millis = millis_since(begin);

@@ -423,23 +423,34 @@ impl<R> Ord for Waiting<R> {
 
 /// Ends when every queue to the line is dropped, or no renderer can be made any more.
 fn render_until_closed<R: 'static, E>(mut renderer: R, make: &dyn Fn() -> Result<R, E>, settle: &dyn Fn(&mut R), line: &Arc<Line<R>>) {
-    let next = |renderer: &mut R| {
-        line.next_render().or_else(|| {
-            settle(renderer);
-            line.next()
-        })
-    };
-    while let Some(work) = next(&mut renderer) {
-        if catch_unwind(AssertUnwindSafe(|| work(&mut renderer))).is_ok() {
-            continue;
+    let survives = |renderer: &mut R, work: &mut dyn FnMut(&mut R)| {
+        if catch_unwind(AssertUnwindSafe(|| work(renderer))).is_ok() {
+            return true;
         }
         tracing::error!("rendering panicked; the renderer is made anew");
-        let Ok(fresh) = make() else {
-            tracing::error!("the renderer cannot be made anew; no more frames are rendered");
-            line.close();
+        match make() {
+            Ok(fresh) => *renderer = fresh,
+            Err(_) => {
+                tracing::error!("the renderer cannot be made anew; no more frames are rendered");
+                line.close();
+                return false;
+            }
+        }
+        true
+    };
+    loop {
+        let mut next = line.next_render();
+        if next.is_none() {
+            if !survives(&mut renderer, &mut |renderer| settle(renderer)) {
+                return;
+            }
+            next = line.next();
+        }
+        let Some(work) = next else { return };
+        let mut work = Some(work);
+        if !survives(&mut renderer, &mut |renderer| work.take().map_or((), |work| work(renderer))) {
             return;
-        };
-        renderer = fresh;
+        }
     }
 }
 

@@ -44,8 +44,8 @@ const MAX_CONCURRENT_STREAMS: u32 = 256;
 /// Window of a stream and of a connection for what clients send: several chunks of a blob.
 const STREAM_WINDOW_BYTES: u32 = 4 << 20;
 const CONNECTION_WINDOW_BYTES: u32 = 8 << 20;
-/// Of a connection, what the kernel holds that is not on the wire yet. A frame waits for no more of a download's bytes than these; the rest
-/// waits in its own stream, in turn with the frame's.
+/// Of a connection, what the kernel holds that is not on the wire yet. Of a download's bytes no more than these are ahead of a frame's there (on
+/// Linux); the rest waits in its own stream, in turn with the frame's.
 const UNSENT_BYTES: u32 = 64 << 10;
 /// Metadata of a request.
 const MAX_HEADER_BYTES: u32 = 16 << 10;

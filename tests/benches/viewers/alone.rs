@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use glam::{Mat3, Vec2, Vec3};
 use lumisphere::capture::PartsError;
 use lumisphere::geometry::{Camera, Intrinsics, Pose};
-use lumisphere::render::{FrameRequest, Outputs, Refine, Renderer, Representation, Settings};
+use lumisphere::render::{FrameRequest, Outputs, PendingFrame, Refine, Renderer, Representation, Settings};
 use lumisphere::representations::CachedPages;
 use lumisphere::representations::offset_surface_light_field as oslf;
 use lumisphere::scenes::Relighting;
@@ -52,13 +52,18 @@ impl Alone {
             reflections: 1,
         });
         let outputs = Outputs { depth: false, provenance: false };
+        // Pixels come while the next frame is drawn, as in the server.
+        let mut before: Option<PendingFrame> = None;
         let (begun, mut steps) = (Instant::now(), 0);
         while begun.elapsed() < time {
             steps += 1;
             let camera = camera(&stand.camera(steps, SIZE));
             let request = FrameRequest { camera: &camera, settings: &settings, outputs, refine: Refine::Whole, table: None };
-            self.renderer.render(&self.field, &self.pages, &request, None).expect("a frame");
+            let drawn = self.renderer.draw(&self.field, &self.pages, &request, None).expect("a frame");
+            before.replace(drawn).map(|before| before.finish().expect("its pixels"));
         }
+        self.renderer.settle();
+        before.map(|before| before.finish().expect("its pixels"));
         steps as f64 / begun.elapsed().as_secs_f64()
     }
 }

@@ -141,7 +141,7 @@ pub fn thin(
     plan: &ThinPlan,
     progress: &dyn Progress,
 ) -> Result<(OffsetSurfaceLightField, Kept, ThinReport), ThinError> {
-    field.check_original(&plan.settings).map_err(ThinningError::from)?;
+    plan.settings.check_original(field.parameters.original).map_err(ThinningError::from)?;
     let name = &field.parameters.object;
     let object = scene.object(name).ok_or_else(|| ThinError::NoObject(name.clone()))?;
     let first_views = validation_views(scene, object, field, plan, 0, progress)?;

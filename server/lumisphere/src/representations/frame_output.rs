@@ -14,7 +14,7 @@ use super::{FrameRequest, Outputs};
 use crate::geometry::Camera;
 use crate::gpu::{Gpu, GpuError, ReadBackPair, Shader};
 
-/// A band has at most this many pixels: 32 MiB on the device with everything that grows with it.
+/// A band has at most this many pixels: 42 MiB on the device with everything that grows with it.
 pub(crate) const MAX_BAND_PIXELS: u32 = 1 << 19;
 /// Of a band, with two copies of the output, which are read back in turn.
 pub(crate) const BYTES_PER_PIXEL: u64 = BAND_BYTES_PER_PIXEL + 2 * 4 * OUTPUT_WORDS;
@@ -51,6 +51,8 @@ impl BoundBand {
         if slot.as_ref().is_some_and(|b| (b.band.width, b.band.rows) == (width, rows)) {
             return Ok(());
         }
+        // The copy of its last pixels holds the buffer that they lie in.
+        gpu.settle();
         *slot = None;
         let band = rasterizer.band(gpu, width, rows);
         let resources = rasterizer.bind_band(gpu, shader, &band);

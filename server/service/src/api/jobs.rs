@@ -1,8 +1,8 @@
 //! Long work.
 
 use lumisphere::capture::observation_map::OBSERVATION_MAP;
-use lumisphere::render::Backend;
-use lumisphere::representations::Kind;
+use lumisphere::render::{Backend, Settings};
+use lumisphere::representations::{Kind, Original};
 use lumisphere::textures::ContentHash;
 use tokio::sync::{mpsc, watch};
 use tokio_stream::wrappers::ReceiverStream;
@@ -71,6 +71,7 @@ fn submit(app: &App, message: Option<proto::JobSpec>, id: String) -> Result<JobV
     if let Some((dataset, wanted)) = spec.reads() {
         let manifest = app.catalog.manifest(dataset, wanted)?;
         spec.settings().iter().try_for_each(|s| check_kind(&s.settings, &manifest.kind))?;
+        spec.settings().iter().try_for_each(|s| check_original(&s.settings, &manifest.parameters))?;
         spec.settings().iter().try_for_each(|s| app.catalog.tables().check(&s.settings))?;
         let expected = match spec {
             JobSpec::Fit(_) => Some(OBSERVATION_MAP),
@@ -104,6 +105,14 @@ fn submit(app: &App, message: Option<proto::JobSpec>, id: String) -> Result<JobV
     };
     let asked = digest(&message);
     app.jobs.submit(Submission { kind: spec.kind(), writes, request_id, asked, spec: remembered(message, version) })
+}
+
+/// What cannot be shown of the object as it was captured; parameters that do not say are those of a diffuse one.
+fn check_original(settings: &Settings, parameters: &serde_json::Value) -> Result<(), ApiError> {
+    let Settings::OffsetSurfaceLightField(settings) = settings else { return Ok(()) };
+    let original =
+        parameters.get("original").and_then(|original| serde_json::from_value::<Original>(original.clone()).ok()).unwrap_or_default();
+    Ok(settings.check_original(original)?)
 }
 
 fn check_blobs(app: &App, blobs: impl IntoIterator<Item = ContentHash>, of: &str) -> Result<(), ApiError> {

@@ -96,7 +96,7 @@ impl Pace {
             let lesser = asked.map(|asked| LESSER_QUALITIES.into_iter().filter(move |lesser| *lesser < asked));
             self.qualities = std::iter::once(asked.unwrap_or(u8::MAX)).chain(lesser.into_iter().flatten()).collect();
             // What was measured was of frames of other qualities.
-            (self.step, self.link) = (0, Mean::default());
+            (self.step, self.link, self.tries) = (0, Mean::default(), Tries::NONE);
         }
         asked.map(|_| self.qualities[self.step])
     }
@@ -149,7 +149,7 @@ impl Pace {
             self.tries.begin();
             return;
         }
-        if self.step > 0 && self.on_link(self.rung, self.step - 1) <= careful {
+        if self.step > 0 && self.tries.may_begin() && self.on_link(self.rung, self.step - 1) <= careful {
             self.set(self.rung, self.step - 1);
             self.tries.begin();
         }
@@ -452,6 +452,18 @@ mod tests {
         // Three tries of some frames each, until the mean has noticed.
         let tried = too_large(3000);
         assert!((1..=40).contains(&tried), "{tried} of 3000 frames filled the link");
+        // Nor oftener where others are waited for all the time, so that no size would keep the rate.
+        let mut waits = Pace::new(30.0);
+        let mut full = 0;
+        for frame in 0..4000 {
+            let (rung, quality) = (waits.rung(), waits.quality(Some(90)));
+            waits.drawn(share_of(rung), Took { waiting: Some(1.2 / 30.0), own: 0.002 * share_of(rung) });
+            let seconds = link.on_link(rung, quality);
+            let is_full = seconds > 1.0 / 30.0;
+            waits.arrived(share_of(rung), quality, if is_full { seconds } else { 0.0 });
+            full += usize::from(is_full && frame >= 1000);
+        }
+        assert!((1..=40).contains(&full), "{full} of 3000 frames filled the link while others were waited for");
         // A better one is noticed within the longest patience, and then used at once.
         let better = Machine { link: 0.1 / 30.0, ..link };
         let found = better.encoded(&mut pace, Some(90), PATIENCE.1 as usize + 100);

@@ -2,7 +2,7 @@
 //! whenever there is something new and a credit. A pose that is overtaken before the render thread takes it up is never rendered. While a
 //! frame is encoded the next is drawn; while there is nothing to draw, pages are brought that a moving viewer's next frame will want.
 //!
-//! A viewer that asked for a rate is *moving* while poses or settings keep coming: its frames are as large as `pace` says. Once nothing new
+//! A viewer with a rate (all but those that ask for 0) is *moving* while poses or settings keep coming: its frames are as large as `pace` says. Once nothing new
 //! has come for a moment it is *still*, and is shown the full size; a new pose drops that frame where its rendering has not begun. What several
 //! passes make better (`still`) is then refined, a pass at a time after everyone else's work, and shown again after 2, 4, 8, … passes and the
 //! last; whatever new comes drops it at once.
@@ -39,7 +39,7 @@ use crate::wire::settings::{Delivery, Encoding, check_kind, encoding_number, out
 use crate::wire::{self, proto};
 use proto::interact_response::Message as Down;
 
-const DEFAULT_CREDITS: u32 = 2;
+const DEFAULT_CREDITS: u32 = 3;
 const MAX_CREDITS: u32 = 16;
 /// Of frames per second.
 const DEFAULT_MOVING_RATE: f32 = 30.0;
@@ -50,7 +50,7 @@ const MOVING_RATES: (f32, f32) = (1.0, 240.0);
 /// A viewer is still when so many frames' time has passed without anything new, within these bounds: a hand that pauses is not at rest.
 const SETTLING_FRAMES: f32 = 5.0;
 const SETTLING_SECONDS: (f32, f32) = (0.05, 0.25);
-/// The same for a viewer that asked for no rate: before its still is refined.
+/// The same for a viewer that asked for a rate of 0: before its still is refined.
 const SETTLING: Duration = Duration::from_millis(50);
 
 /// A viewer's open interaction.
@@ -72,7 +72,7 @@ pub struct Session {
     _room: OwnedSemaphorePermit,
 }
 
-/// Of a viewer that asked for a rate while it moves.
+/// Of a viewer with a rate while it moves.
 struct Moving {
     /// Between two frames, as asked for.
     interval: Duration,

@@ -418,6 +418,19 @@ pub struct Settings {
 }
 
 impl Settings {
+    /// What was captured as authored has its light and its reflections in it: neither can be added or exchanged.
+    pub fn check_original(&self, original: Original) -> Result<(), RenderError> {
+        let is_there_already = match self.component {
+            Component::Full => true,
+            Component::Reconstruction => self.light.changes_light(),
+            Component::Mirror | Component::Glossy(_) | Component::Refraction(_) => false,
+        };
+        match original {
+            Original::AsAuthored if is_there_already => Err(RenderError::AsAuthored),
+            Original::AsAuthored | Original::Diffuse => Ok(()),
+        }
+    }
+
     /// Whether what is mirrored may be a mirror itself.
     pub fn sees_itself(&self) -> bool {
         self.reflections > 1 && matches!(self.component, Component::Mirror | Component::Full)
@@ -545,19 +558,6 @@ impl OffsetSurfaceLightField {
     fn reads_over(&self, toward: &DirectionDifferential) -> (Taps, PyramidLevel) {
         let taps = toward.taps(self.parameters.face_size_texels);
         (taps, PyramidLevel::for_texels(FOOTPRINT_WIDTH * taps.texels, self.parameters.coarser_levels))
-    }
-
-    /// What was captured as authored has its light and its reflections in it: neither can be added or exchanged.
-    pub fn check_original(&self, settings: &Settings) -> Result<(), RenderError> {
-        let is_there_already = match settings.component {
-            Component::Full => true,
-            Component::Reconstruction => settings.light.changes_light(),
-            Component::Mirror | Component::Glossy(_) | Component::Refraction(_) => false,
-        };
-        match self.parameters.original {
-            Original::AsAuthored if is_there_already => Err(RenderError::AsAuthored),
-            Original::AsAuthored | Original::Diffuse => Ok(()),
-        }
     }
 
     // A page must have its level's shape before anything indexes into it.

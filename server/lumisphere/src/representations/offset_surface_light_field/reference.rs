@@ -82,7 +82,7 @@ impl CpuKernel for Reference {
         let AnySettings::OffsetSurfaceLightField(settings) = request.settings else {
             return Err(RenderError::OtherKind { settings: request.settings.kind() });
         };
-        self.field.check_original(settings)?;
+        settings.check_original(self.field.parameters.original)?;
         let touched = PagesTouched::new(self.field.page_count());
         let asides = self.asides(settings, request.table, pages)?;
         let start = || (Stack::new(), PagedCubes::new(&self.field, pages, &touched, asides.clone()));

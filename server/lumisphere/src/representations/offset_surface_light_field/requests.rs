@@ -26,7 +26,7 @@ pub(super) fn record_requests(
     if settings.light.changes_light() || settings.needs_tree() {
         return Err(RenderError::ReadsMore);
     }
-    field.check_original(settings)?;
+    settings.check_original(field.parameters.original)?;
     let camera = recording.camera;
     let (width, height) = (camera.intrinsics().width_px, camera.intrinsics().height_px);
     let mut stack = Stack::new();

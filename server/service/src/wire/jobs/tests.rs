@@ -25,7 +25,7 @@ fn refused(change: impl FnOnce(&mut proto::CaptureSpec)) -> String {
 fn a_capture_has_the_documented_defaults() {
     let spec = capture(capture_message(), "c").unwrap();
     assert_eq!((spec.face_size_texels, spec.samples_per_texel, spec.max_bounces, spec.sample_map_size_texels), (128, 64, 8, 256));
-    assert_eq!((spec.epsilon, spec.spacing), (None, Spacing::Count(1000)));
+    assert_eq!((spec.epsilon, spec.spacing, spec.placing), (None, Spacing::Count(1000), Placing::Uniform));
     assert_eq!((spec.pixel_format, spec.codec), (PixelFormat::F16, Codec::BitsChunk));
 }
 
@@ -40,6 +40,7 @@ fn a_capture_out_of_range_is_refused_by_field() {
     assert!(refused(|c| c.face_size_texels = 1 << 31).starts_with("spec.capture.face_size_texels"));
     assert!(refused(|c| c.density = Some(proto::capture_spec::Density::SamplePoints(3))).contains("4 to 65534"));
     assert!(refused(|c| c.density = Some(proto::capture_spec::Density::Spacing(0.0))).starts_with("spec.capture.spacing: 0"));
+    assert!(refused(|c| c.placing = 4).starts_with("spec.capture.placing: 4, UNIFORM, CURVATURE or ERROR expected"));
     assert!(refused(|c| c.pixel_format = 5).starts_with("spec.capture.pixel_format: 5"));
     assert!(refused(|c| c.codec = 9).starts_with("spec.capture.codec: 9"));
 }

@@ -97,7 +97,7 @@ impl Kernel {
         let AnySettings::OffsetSurfaceLightField(settings) = request.settings else {
             return Err(RenderError::OtherKind { settings: request.settings.kind() });
         };
-        self.field.check_original(settings)?;
+        settings.check_original(self.field.parameters.original)?;
         let bands = frame_output::bands(&self.gpu, request.camera)?;
         self.check_directions(settings)?;
         self.ensure_light(settings, pages)?;

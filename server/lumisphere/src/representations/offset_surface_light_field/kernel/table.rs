@@ -57,6 +57,7 @@ impl Kernel {
     ) -> Result<(), RenderError> {
         let wanted = gloss(settings.component).and_then(|gloss| gloss.brdf.table());
         let Some(hash) = wanted.filter(|_| !self.is_table_there(settings)) else { return Ok(()) };
+        self.gpu.settle();
         let measured = request.table.ok_or(RenderError::NoTable { table: hash })?;
         let is_first = self.table.held.is_none();
         if is_first {
