@@ -13,6 +13,7 @@ mod context;
 mod exit;
 mod files;
 mod interaction;
+mod normal_map_flags;
 mod output;
 mod photographs;
 mod progress;

@@ -18,6 +18,7 @@ use wire::render_settings::Representation;
 use crate::cameras::parse_vec3;
 use crate::context::Context;
 use crate::exit::Failure;
+use crate::normal_map_flags::{self, NormalMapFlags};
 use crate::progress::Meter;
 use crate::upload::{Blob, upload};
 
@@ -49,6 +50,8 @@ pub struct SettingsFlags {
     pub light: LightFlags,
     #[command(flatten)]
     pub clear: ClearFlags,
+    #[command(flatten)]
+    pub bumps: NormalMapFlags,
     #[command(flatten)]
     pub truth: TruthFlags,
 }
@@ -139,6 +142,8 @@ pub struct Looks<'a> {
     pub light: &'a LightFlags,
     /// Of component refraction.
     pub clear: &'a ClearFlags,
+    /// Of components mirror, full and glossy.
+    pub bumps: &'a NormalMapFlags,
     /// Of components mirror and full; 0 is the server's default.
     pub reflections: u32,
 }
@@ -149,7 +154,7 @@ impl Looks<'static> {
         static GLOSS: GlossFlags = GlossFlags { brdf: None, integration: None, directions: 0, passes: 0, integration_order: None };
         static LIGHT: LightFlags = LightFlags { environment_turn_deg: 0.0, point_light: Vec::new() };
         static CLEAR: ClearFlags = ClearFlags { refraction_index: None, body: None };
-        Self { gloss: &GLOSS, light: &LIGHT, clear: &CLEAR, reflections: 0 }
+        Self { gloss: &GLOSS, light: &LIGHT, clear: &CLEAR, bumps: &NormalMapFlags::NONE, reflections: 0 }
     }
 }
 
@@ -284,17 +289,21 @@ impl SettingsFlags {
     pub fn to_wire(&self, kind: &str) -> wire::RenderSettings {
         let default = if kind == "parameter_map" { Component::Radiance } else { Component::Reconstruction };
         let component = self.component.unwrap_or(default);
-        let looks = Looks { gloss: &self.gloss, light: &self.light, clear: &self.clear, reflections: self.reflections };
+        let (bumps, reflections) = (&self.bumps, self.reflections);
+        let looks = Looks { gloss: &self.gloss, light: &self.light, clear: &self.clear, bumps, reflections };
         let stored = settings(component, self.blend, self.specular, self.filter, self.backend, looks);
         wire::RenderSettings { ground_truth: self.truth.to_wire(), ..stored }
     }
 }
 
-/// The same settings after the file of their measured BRDF was uploaded: they name it by its hash from then on.
-pub async fn with_table(mut settings: wire::RenderSettings, context: &Context) -> anyhow::Result<wire::RenderSettings> {
+/// The same settings after the files of their measured BRDF and normal map were uploaded: they name them by their hashes from then on.
+pub async fn with_uploads(mut settings: wire::RenderSettings, context: &Context) -> anyhow::Result<wire::RenderSettings> {
     let Some(Representation::OffsetSurfaceLightField(of_field)) = &mut settings.representation else { return Ok(settings) };
     if let Some(gloss) = &mut of_field.gloss {
         gloss.brdf = named_table(&gloss.brdf, context).await?;
+    }
+    if let Some(map) = &mut of_field.normal_map {
+        map.image = normal_map_flags::uploaded(&map.image, context).await?;
     }
     Ok(settings)
 }
@@ -335,7 +344,7 @@ pub fn settings(
     specular: [f32; 3],
     filter: Filter,
     backend: Backend,
-    Looks { gloss, light, clear, reflections }: Looks<'_>,
+    Looks { gloss, light, clear, bumps, reflections }: Looks<'_>,
 ) -> wire::RenderSettings {
     let (blend, exponent) = match blend {
         Blend::Distance => (WireBlend::Distance, None),
@@ -396,6 +405,7 @@ pub fn settings(
         }),
         relighting: light.to_wire(),
         reflections,
+        normal_map: bumps.to_wire(),
         refraction: (component == WireComponent::Refraction).then(|| Refraction {
             index: clear.refraction_index,
             body: match clear.body {

@@ -14,6 +14,7 @@ use crate::cameras::{OrbitFlags, Size, Views, read_cameras};
 use crate::commands::evaluate::Truth;
 use crate::commands::job::codec_message;
 use crate::exit::Failure;
+use crate::normal_map_flags::NormalMapFlags;
 use crate::render_settings::{
     Backend, Blend, ClearFlags, Component, Filter, GlossFlags, Integration, LightFlags, Looks, Order, settings, table_file,
 };
@@ -131,7 +132,7 @@ impl AskedLooks {
             specular,
             filter,
             backend,
-            Looks { gloss: &gloss, light: &light, clear: &clear, reflections: self.reflections },
+            Looks { gloss: &gloss, light: &light, clear: &clear, bumps: &NormalMapFlags::NONE, reflections: self.reflections },
         )
     }
 }

@@ -99,6 +99,7 @@ fn mirror() -> wire::RenderSettings {
         relighting: None,
         reflections: 0,
         refraction: None,
+        normal_map: None,
     };
     wire::RenderSettings {
         representation: Some(wire::render_settings::Representation::OffsetSurfaceLightField(settings)),

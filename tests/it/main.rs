@@ -26,6 +26,7 @@ mod main_flow;
 mod measured;
 mod memory;
 mod moving;
+mod normal_map;
 mod originals;
 mod paper_tables;
 mod parameter_map;

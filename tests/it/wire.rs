@@ -40,6 +40,7 @@ pub fn settings(component: Component, blend: Blend) -> wire::RenderSettings {
         relighting: None,
         reflections: 0,
         refraction: None,
+        normal_map: None,
     };
     wire::RenderSettings {
         representation: Some(wire::render_settings::Representation::OffsetSurfaceLightField(settings)),

@@ -18,8 +18,9 @@ use super::watch::{Events, watch};
 use crate::cameras::{CameraFlags, Views, parse_vec3};
 use crate::context::Context;
 use crate::files::{Existing, prepare_folder};
+use crate::normal_map_flags::NormalMapFlags;
 use crate::output::table;
-use crate::render_settings::{Backend, Blend, ClearFlags, Component, Filter, GlossFlags, LightFlags, Looks, settings, with_table};
+use crate::render_settings::{Backend, Blend, ClearFlags, Component, Filter, GlossFlags, LightFlags, Looks, settings, with_uploads};
 
 /// What to evaluate.
 #[derive(Debug, Args)]
@@ -51,6 +52,8 @@ pub struct EvaluateFlags {
     light: LightFlags,
     #[command(flatten)]
     clear: ClearFlags,
+    #[command(flatten)]
+    bumps: NormalMapFlags,
     /// How cube maps are read, separated by commas
     #[arg(long, value_enum, value_delimiter = ',', default_value = "footprint")]
     filters: Vec<Filter>,
@@ -129,7 +132,7 @@ impl EvaluateFlags {
         };
         let mut settings = Vec::new();
         for each in self.settings() {
-            settings.push(with_table(each, context).await?);
+            settings.push(with_uploads(each, context).await?);
         }
         Ok(wire::EvaluateSpec {
             dataset: self.dataset.clone().unwrap_or_default(),
@@ -145,7 +148,8 @@ impl EvaluateFlags {
     }
 
     fn settings(&self) -> Vec<wire::RenderSettings> {
-        let looks = Looks { gloss: &self.gloss, light: &self.light, clear: &self.clear, reflections: self.reflections };
+        let (bumps, reflections) = (&self.bumps, self.reflections);
+        let looks = Looks { gloss: &self.gloss, light: &self.light, clear: &self.clear, bumps, reflections };
         let one = |component, blend, filter| settings(component, blend, self.specular, filter, self.backend, looks);
         let of = |component: Component, filter: Filter| {
             component.blends(&self.blends).into_iter().map(move |blend| one(component, blend, filter))

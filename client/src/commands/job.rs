@@ -26,7 +26,7 @@ use crate::files::{Existing, prepare_folder, safe_name};
 use crate::output::table;
 use crate::photographs;
 use crate::progress::Meter;
-use crate::render_settings::{Backend, Blend, Component, Filter, Looks, OutputFlags, SettingsFlags, settings, with_table};
+use crate::render_settings::{Backend, Blend, Component, Filter, Looks, OutputFlags, SettingsFlags, settings, with_uploads};
 use crate::scene_source::{self, SceneFlags};
 use crate::views;
 
@@ -758,7 +758,7 @@ async fn submit_path_render(context: &Context, arguments: &PathRenderArguments) 
         dataset: arguments.dataset.clone(),
         version: arguments.version,
         views: Some(views),
-        settings: Some(with_table(arguments.settings.to_wire(&kind), context).await?),
+        settings: Some(with_uploads(arguments.settings.to_wire(&kind), context).await?),
         output: Some(arguments.output.to_wire()),
     };
     submit_and_tell(context, &server, Spec::PathRender(spec), &arguments.submit).await

@@ -16,7 +16,7 @@ use crate::context::Context;
 use crate::exit::Failure;
 use crate::files::{Existing, prepare_folder, write_atomically};
 use crate::progress::{Meter, Progress};
-use crate::render_settings::{OutputFlags, SettingsFlags, with_table};
+use crate::render_settings::{OutputFlags, SettingsFlags, with_uploads};
 use crate::viewer_path::{PathKind, ViewerPaths};
 use phases::{Phase, Runner, Schedule};
 
@@ -104,7 +104,7 @@ pub async fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<()>
         dataset: arguments.dataset.clone(),
         version: version.version,
         camera: None,
-        settings: Some(with_table(arguments.settings.to_wire(&kind), context).await?),
+        settings: Some(with_uploads(arguments.settings.to_wire(&kind), context).await?),
         output: Some(arguments.output.to_wire()),
         pose_id: 0,
     };

@@ -18,7 +18,7 @@ use crate::files::{Existing, prepare_folder, write_atomically};
 use crate::interaction::{Interaction, Wanted};
 use crate::output::bytes_text;
 use crate::progress::{Meter, Progress};
-use crate::render_settings::{Format, OutputFlags, SettingsFlags, with_table};
+use crate::render_settings::{Format, OutputFlags, SettingsFlags, with_uploads};
 use crate::target::{Target, TargetFlags, alone_or_chosen};
 use crate::views;
 
@@ -54,7 +54,7 @@ pub async fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<()>
     let server = context.connect().await?;
     let (version, kind) = version_of(context, &server, &target.dataset, target.version).await?;
     let settings = target.settings.take().unwrap_or_else(|| arguments.settings.to_wire(&kind));
-    target.settings = Some(with_table(settings, context).await?);
+    target.settings = Some(with_uploads(settings, context).await?);
     let cameras = arguments.cameras.cameras(version.object_bounds.as_ref())?;
     let names: Vec<_> = (0..cameras.len() as u64).map(|index| file_names(index, &arguments.output)).collect();
     let existing = Existing::from_force(arguments.force);

@@ -17,7 +17,7 @@ use crate::files::Existing;
 use crate::interaction::{Answer, Interaction, Wanted};
 use crate::output::bytes_text;
 use crate::progress::{Meter, Progress};
-use crate::render_settings::{Format, OutputFlags, SettingsFlags, with_table};
+use crate::render_settings::{Format, OutputFlags, SettingsFlags, with_uploads};
 use crate::target::{TargetFlags, alone_or_chosen};
 use crate::video::{ColourFlags, FrameRate};
 use crate::viewer_path::{PathKind, ViewerPaths};
@@ -100,7 +100,7 @@ pub async fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<()>
     let existing = Existing::from_force(arguments.force);
     let mut sink = Sink::open(&arguments.out, &arguments.output, (arguments.fps, arguments.colours), path.frames, existing)?;
     let settings = target.settings.take().unwrap_or_else(|| arguments.settings.to_wire(&kind));
-    let settings = with_table(settings, context).await?;
+    let settings = with_uploads(settings, context).await?;
     let open = wire::OpenInteraction {
         dataset: target.dataset.clone(),
         version: version.version,

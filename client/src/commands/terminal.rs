@@ -21,7 +21,7 @@ use crate::commands::render::version_of;
 use crate::context::{Context, Server};
 use crate::exit::{Failure, is_broken_connection};
 use crate::interaction::{Answer, Interaction, Wanted};
-use crate::render_settings::{SettingsFlags, with_table};
+use crate::render_settings::{SettingsFlags, with_uploads};
 use pictures::{Area, Effort, Lines, Protocol, USUAL_CELL_PX};
 use questions::{Answers, ask, sane};
 use screen::{Raw, Screen};
@@ -112,7 +112,7 @@ pub async fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<()>
     let open = wire::OpenInteraction {
         dataset: arguments.dataset.clone(),
         version: version.version,
-        settings: Some(with_table(arguments.settings.to_wire(&kind), context).await?),
+        settings: Some(with_uploads(arguments.settings.to_wire(&kind), context).await?),
         output: Some(wire::OutputSettings {
             encoding: wire::Encoding::Png.into(),
             exposure_stops: arguments.exposure_stops,

@@ -23,7 +23,7 @@ use lumisphere::representations::offset_surface_light_field::{
     Settings, Spacing, Surrounding, build_sample_maps, construct, from_parts, replace,
 };
 use lumisphere::representations::{
-    CachedPages, FrameRequest, Original, Outputs, Refine, RenderError, Representation, Settings as AnySettings,
+    CachedPages, FrameRequest, Original, Outputs, Refine, RenderError, Representation, Settings as AnySettings, Uploads,
 };
 use lumisphere::scenes::{BuiltinOptions, Object, Relighting, Scene, builtin};
 use lumisphere::textures::{Cache, CacheOptions, Codec, DatasetVersion, PixelFormat, Publication, Staging, Store, StoreOptions};
@@ -170,6 +170,7 @@ fn shown(component: Component, blend: Blend) -> AnySettings {
         filter: Filter::Footprint,
         light: Relighting::NONE,
         reflections: 1,
+        bumps: None,
     })
 }
 
@@ -191,11 +192,12 @@ fn compare(truth: &Scene, fields: &[Named], settings: AnySettings, pictures: Opt
         trace: TraceSettings { samples_per_pixel: 128, max_bounces: BOUNCES, seed: 9 },
         timed_frames: 1,
         tables: Default::default(),
+        normal_maps: Default::default(),
     };
     let renderer = Renderer::cpu_only();
     let mut render = |camera: &Camera, setting: usize| -> Result<Rendered, RenderError> {
         let outputs = Outputs { depth: false, provenance: false };
-        let request = FrameRequest { camera, settings: &settings, outputs, refine: Refine::Whole, table: None };
+        let request = FrameRequest { camera, settings: &settings, outputs, refine: Refine::Whole, uploads: Uploads::NONE };
         let (field, pages) = &fields[setting].1;
         let frame = renderer.render(field, pages, &request, None)?;
         let mut color = Image::zeros(frame.width_px as usize, frame.height_px as usize, 3);

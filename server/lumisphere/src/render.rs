@@ -31,7 +31,7 @@ pub use crate::representations::UploadUnit;
 use crate::representations::{CountingSource, CpuKernel};
 pub use crate::representations::{
     FrameRequest, GpuFrameStats, Outputs, PageSource, PageUse, PendingPixels, Pixels, Provenance, Refine, RenderError, Representation,
-    Settings,
+    Settings, Uploads,
 };
 #[cfg(feature = "gpu")]
 use crate::textures::{Page, PageId, PolicyKind};
@@ -437,6 +437,7 @@ mod tests {
             filter: oslf::Filter::Footprint,
             light: crate::scenes::Relighting::NONE,
             reflections: 1,
+            bumps: None,
         })
     }
 
@@ -451,7 +452,7 @@ mod tests {
         let field: Arc<dyn Representation> = Arc::new(field);
         let settings = mirror();
         let outputs = Outputs { depth: false, provenance: false };
-        let request = FrameRequest { camera: &camera, settings: &settings, outputs, refine: Refine::Whole, table: None };
+        let request = FrameRequest { camera: &camera, settings: &settings, outputs, refine: Refine::Whole, uploads: Uploads::NONE };
         let refused = || renderer.gpu.as_ref().map_or(0, |side| side.tier().refused());
         for _ in 0..3 {
             let frame = renderer.render(&field, &pages, &request, Some(Backend::Gpu)).unwrap();
@@ -474,7 +475,7 @@ mod tests {
         let field: Arc<dyn Representation> = Arc::new(field);
         let settings = mirror();
         let outputs = Outputs { depth: false, provenance: false };
-        let request = FrameRequest { camera: &camera, settings: &settings, outputs, refine: Refine::Whole, table: None };
+        let request = FrameRequest { camera: &camera, settings: &settings, outputs, refine: Refine::Whole, uploads: Uploads::NONE };
         let frame = || renderer.render(&field, &pages, &request, None).unwrap();
         let before = frame();
         assert_eq!(before.stats.backend, Backend::Gpu);
@@ -499,8 +500,13 @@ mod tests {
         let settings = mirror();
         let outputs = Outputs { depth: true, provenance: true };
         let cameras = [3.0, 4.0].map(|z| WORLD.camera(z * glam::Vec3::Z, glam::Vec3::ZERO, 16, 12));
-        let [near, far] =
-            cameras.each_ref().map(|camera| FrameRequest { camera, settings: &settings, outputs, refine: Refine::Whole, table: None });
+        let [near, far] = cameras.each_ref().map(|camera| FrameRequest {
+            camera,
+            settings: &settings,
+            outputs,
+            refine: Refine::Whole,
+            uploads: Uploads::NONE,
+        });
         let whole = |request| renderer.render(&field, &pages, request, None).unwrap().pixels;
         let (expected_near, expected_far) = (whole(&near), whole(&far));
         assert_ne!(expected_near, expected_far);
@@ -534,7 +540,7 @@ mod tests {
         let camera = WORLD.camera(3.0 * glam::Vec3::Z, glam::Vec3::ZERO, 16, 12);
         let outputs = Outputs { depth: false, provenance: false };
         let refused = |dataset: Arc<dyn Representation>, pages: &dyn PageSource, settings: &Settings| {
-            let request = FrameRequest { camera: &camera, settings, outputs, refine: Refine::Whole, table: None };
+            let request = FrameRequest { camera: &camera, settings, outputs, refine: Refine::Whole, uploads: Uploads::NONE };
             Renderer::cpu_only().render(&dataset, pages, &request, Some(Backend::Cpu)).unwrap_err().to_string()
         };
         let expected = |kind: &str| format!("settings are of a {kind}, the dataset is of another kind");

@@ -19,7 +19,7 @@ use uploads::Uploads;
 pub use uploads::{Progress, UploadLimits};
 
 use crate::errors::{ApiError, Reason};
-use crate::tables::Tables;
+use crate::looks::Looks;
 use crate::wire::cache::CacheChange;
 use crate::wire::datasets::{ORIGIN, Origin, manifest_bytes};
 
@@ -31,7 +31,7 @@ pub struct Catalog {
     store: Store,
     cache: Arc<Cache>,
     uploads: Uploads,
-    tables: Arc<Tables>,
+    looks: Arc<Looks>,
     opened: Mutex<VecDeque<Arc<OpenedVersion>>>,
     /// Counters at the last reset.
     baseline: Mutex<CacheSnapshot>,
@@ -50,8 +50,8 @@ pub struct OpenedVersion {
     pub pages: CachedPages,
     /// Where it came from, if it was captured here.
     pub origin: Option<Origin>,
-    /// Measured BRDFs that it may be shown with.
-    pub tables: Arc<Tables>,
+    /// Uploads that it may be shown with.
+    pub looks: Arc<Looks>,
 }
 
 /// A dataset and its versions; those whose manifest is damaged have none.
@@ -70,7 +70,7 @@ impl Catalog {
         let cache = Cache::new(cache);
         Ok(Self {
             uploads: Uploads::new(store.clone(), limits),
-            tables: Arc::new(Tables::new(store.clone())),
+            looks: Arc::new(Looks::new(&store)),
             store,
             baseline: Mutex::new(cache.snapshot()),
             cache: Arc::new(cache),
@@ -84,9 +84,9 @@ impl Catalog {
         &self.store
     }
 
-    /// Measured BRDFs among the blobs.
-    pub fn tables(&self) -> &Tables {
-        &self.tables
+    /// Measured BRDFs and normal maps among the blobs.
+    pub fn looks(&self) -> &Looks {
+        &self.looks
     }
 
     /// Chunks in.
@@ -208,7 +208,7 @@ impl Catalog {
             version: manifest.version,
             representation,
             origin: origin_of(&stored),
-            tables: self.tables.clone(),
+            looks: self.looks.clone(),
             pages: CachedPages { cache: self.cache.clone(), version: stored },
         })
     }

@@ -179,10 +179,11 @@ impl From<RenderError> for ApiError {
             RenderError::OtherKind { .. } | RenderError::NoSkyShares | RenderError::AsAuthored => {
                 Self::new(Reason::DatasetKindMismatch, error.to_string())
             }
-            RenderError::NoTable { .. } => Self::internal(error),
+            RenderError::NoTable { .. } | RenderError::NoNormalMap { .. } => Self::internal(error),
             RenderError::NoGpu => Self::field("settings.backend", error),
             RenderError::TooManyDirections { .. } => Self::field("settings.offset_surface_light_field.gloss.directions", error),
             RenderError::DependsOnPages => Self::field("settings.offset_surface_light_field.blend", error),
+            RenderError::Bumps(_) => Self::field("settings.offset_surface_light_field.normal_map", error),
             RenderError::ReadsMore => Self::field("settings.offset_surface_light_field", error),
             RenderError::Gpu(_) => Self::new(Reason::GpuUnavailable, error.to_string()),
         }

@@ -19,6 +19,7 @@ use crate::config::BackendChoice;
 use crate::errors::{ApiError, Reason};
 use crate::frame_use::{AdapterUse, FramePages};
 use crate::ground_truth::{Abandoned, Tracers};
+use crate::looks::HeldLooks;
 use crate::prefetch::Expected;
 use crate::render_queue::{Idle, Priority, QueueError, RenderQueue, Rendered, Slot};
 use crate::still::{Held, Rooms, Still};
@@ -198,9 +199,9 @@ impl Frames {
         let work = move |renderer: &mut Renderer| {
             let outputs = Outputs { depth: false, provenance: false };
             let (camera, settings) = (&expected.camera, &expected.settings.settings);
-            // Without a table that cannot be read nothing is seen; the frame will tell.
-            let table = expected.version.tables.of(settings).ok().flatten();
-            let request = FrameRequest { camera, settings, outputs, refine: Refine::Whole, table: table.as_ref() };
+            // Without a file that cannot be read nothing is seen; the frame will tell.
+            let held = expected.version.looks.of(settings).unwrap_or(HeldLooks::NONE);
+            let request = FrameRequest { camera, settings, outputs, refine: Refine::Whole, uploads: held.uploads() };
             renderer.look_ahead(&expected.version.representation, &request, upload_bytes)
         };
         Ok(self.queue.run_idle(Idle::Ahead, work).await.map_err(|e| self.refused(e))??)
@@ -429,8 +430,8 @@ fn render(renderer: &Renderer, gpu: &Mutex<Option<GpuTier>>, order: &FrameOrder,
     let outputs = Outputs { depth: order.output.depth.is_some(), provenance: order.output.provenance };
     let settings = order.settings.settings;
     let settings = settings.of_pass(pass).unwrap_or(settings);
-    let table = order.version.tables.of(&settings)?;
-    let request = FrameRequest { camera: &order.camera, settings: &settings, outputs, refine: order.refine, table: table.as_ref() };
+    let held = order.version.looks.of(&settings)?;
+    let request = FrameRequest { camera: &order.camera, settings: &settings, outputs, refine: order.refine, uploads: held.uploads() };
     let backend = match order.settings.backend {
         BackendChoice::Auto => None,
         BackendChoice::Gpu => Some(Backend::Gpu),

@@ -77,7 +77,7 @@ impl Tracers {
     pub fn trace(&mut self, order: &FrameOrder, truth: GroundTruth, pass: u32, abandoned: &Abandoned) -> Result<Frame, ApiError> {
         let begun = Instant::now();
         let source = scene_of(&order.version)?;
-        let table = order.version.tables.of(&order.settings.settings)?;
+        let held = order.version.looks.of(&order.settings.settings)?;
         self.make_ready(source)?;
         let prepare_millis = millis_since(begun);
         let captured = order.version.representation.captured();
@@ -89,7 +89,7 @@ impl Tracers {
             pass,
             paths_per_pixel: truth.paths_per_pixel,
             outputs: Outputs { depth: order.output.depth.is_some(), provenance: order.output.provenance },
-            table: table.as_ref(),
+            uploads: held.uploads(),
         };
         let kept = self.kept.back_mut().expect("the scene was made ready");
         let pixels = self.pool.install(|| kept.passes.trace(&pass, &order.camera, abandoned)).map_err(refused)?;
@@ -129,7 +129,7 @@ fn refused(error: TruthError) -> ApiError {
     match error {
         TruthError::NoObject { .. } => ApiError::new(Reason::SceneInvalid, error.to_string()),
         TruthError::TooManyPaths { .. } => ApiError::field("settings.ground_truth.paths_per_pixel", error),
-        TruthError::NoTable => ApiError::internal(error),
+        TruthError::NoTable | TruthError::NoNormalMap => ApiError::internal(error),
         TruthError::Cancelled(cancelled) => cancelled.into(),
     }
 }

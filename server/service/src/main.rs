@@ -12,6 +12,8 @@ mod frames;
 mod freed_memory;
 mod ground_truth;
 mod jobs;
+mod looks;
+mod normal_maps;
 mod prefetch;
 mod render_queue;
 mod replay;
@@ -22,6 +24,7 @@ mod shutdown;
 mod still;
 mod tables;
 mod telemetry;
+mod used_last;
 #[cfg(feature = "h264")]
 mod video;
 #[cfg(not(feature = "h264"))]

@@ -1,7 +1,6 @@
 //! Measured BRDFs that frames show: uploaded files, read when the first frame wants one. Everything here blocks.
 
-use std::collections::VecDeque;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
 use lumisphere::formats::merl;
 use lumisphere::radiometry::brdf::Measured;
@@ -9,6 +8,7 @@ use lumisphere::representations::Settings;
 use lumisphere::textures::{ContentHash, Store};
 
 use crate::errors::{ApiError, Reason};
+use crate::used_last::UsedLast;
 
 /// In memory at once, 17 MB each: those used last.
 const KEPT: usize = 4;
@@ -18,13 +18,13 @@ const FIELD: &str = "settings.offset_surface_light_field.gloss.brdf";
 /// The tables that were used last, over the store.
 pub struct Tables {
     store: Store,
-    kept: Mutex<VecDeque<(ContentHash, Arc<Measured>)>>,
+    kept: UsedLast<Measured>,
 }
 
 impl Tables {
     /// None yet.
     pub fn new(store: Store) -> Self {
-        Self { store, kept: Mutex::default() }
+        Self { store, kept: UsedLast::new(KEPT) }
     }
 
     /// Refuses settings whose table is not here, or cannot be one by its size. Reads none.
@@ -44,25 +44,15 @@ impl Tables {
         settings.brdf().and_then(|brdf| brdf.table()).map(|hash| self.get(hash)).transpose()
     }
 
-    /// That one. Under the lock: read once, whoever asks.
+    /// That one.
     pub fn get(&self, hash: ContentHash) -> Result<Arc<Measured>, ApiError> {
-        let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(known) = kept.iter().position(|(known, _)| *known == hash).and_then(|at| kept.remove(at)) {
-            let table = known.1.clone();
-            kept.push_back(known);
-            return Ok(table);
-        }
-        let bytes = self.store.blob_bytes(&hash)?;
-        if bytes != merl::FILE_BYTES {
-            return Err(ApiError::field(FIELD, format!("blob {hash} has {bytes} bytes, {} of a table expected", merl::FILE_BYTES)));
-        }
-        let table = merl::read(&self.store.read_blob(&hash)?).map_err(|e| ApiError::field(FIELD, format!("blob {hash}: {e}")))?;
-        let table = Arc::new(table);
-        kept.push_back((hash, table.clone()));
-        if kept.len() > KEPT {
-            kept.pop_front();
-        }
-        Ok(table)
+        self.kept.get(hash, || {
+            let bytes = self.store.blob_bytes(&hash)?;
+            if bytes != merl::FILE_BYTES {
+                return Err(ApiError::field(FIELD, format!("blob {hash} has {bytes} bytes, {} of a table expected", merl::FILE_BYTES)));
+            }
+            merl::read(&self.store.read_blob(&hash)?).map_err(|e| ApiError::field(FIELD, format!("blob {hash}: {e}")))
+        })
     }
 }
 
@@ -90,7 +80,7 @@ mod tests {
         assert!(Arc::ptr_eq(&first, &tables.get(hashes[0]).unwrap()));
         hashes.iter().for_each(|hash| drop(tables.get(*hash).unwrap()));
         assert!(!Arc::ptr_eq(&first, &tables.get(hashes[0]).unwrap()), "five are kept");
-        assert_eq!(tables.kept.lock().unwrap().len(), KEPT);
+        assert_eq!(tables.kept.len(), KEPT);
         // 2, 3, 4, 0 are kept: 2 is used once more, so that 3 leaves for 1.
         let used_again = tables.get(hashes[2]).unwrap();
         tables.get(hashes[1]).unwrap();

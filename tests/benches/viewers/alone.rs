@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use glam::{Mat3, Vec2, Vec3};
 use lumisphere::capture::PartsError;
 use lumisphere::geometry::{Camera, Intrinsics, Pose};
-use lumisphere::render::{FrameRequest, Outputs, PendingFrame, Refine, Renderer, Representation, Settings};
+use lumisphere::render::{FrameRequest, Outputs, PendingFrame, Refine, Renderer, Representation, Settings, Uploads};
 use lumisphere::representations::CachedPages;
 use lumisphere::representations::offset_surface_light_field as oslf;
 use lumisphere::scenes::Relighting;
@@ -50,6 +50,7 @@ impl Alone {
             filter: oslf::Filter::Footprint,
             light: Relighting::NONE,
             reflections: 1,
+            bumps: None,
         });
         let outputs = Outputs { depth: false, provenance: false };
         // Pixels come while the next frame is drawn, as in the server.
@@ -58,7 +59,7 @@ impl Alone {
         while begun.elapsed() < time {
             steps += 1;
             let camera = camera(&stand.camera(steps, SIZE));
-            let request = FrameRequest { camera: &camera, settings: &settings, outputs, refine: Refine::Whole, table: None };
+            let request = FrameRequest { camera: &camera, settings: &settings, outputs, refine: Refine::Whole, uploads: Uploads::NONE };
             let drawn = self.renderer.draw(&self.field, &self.pages, &request, None).expect("a frame");
             before.replace(drawn).map(|before| before.finish().expect("its pixels"));
         }

@@ -13,7 +13,7 @@ use crate::context::{Context, Server};
 use crate::exit::Failure;
 use crate::files::{Existing, write_atomically};
 use crate::output::bytes_text;
-use crate::render_settings::{SettingsFlags, with_table};
+use crate::render_settings::{SettingsFlags, with_uploads};
 use crate::viewer_path::{PathKind, ViewerPaths};
 
 /// Flags of `cache record`.
@@ -100,7 +100,7 @@ async fn frames(arguments: &Arguments, context: &Context, server: &Server) -> an
         dataset,
         version: version.version,
         cameras,
-        settings: Some(with_table(arguments.settings.to_wire(&kind), context).await?),
+        settings: Some(with_uploads(arguments.settings.to_wire(&kind), context).await?),
         order: arguments.order.to_wire().into(),
         lobe_samples: arguments.lobe_samples,
         lobe_exponent: arguments.lobe_exponent,

@@ -20,7 +20,7 @@ use glam::Vec3;
 use lumisphere::capture::PartsError;
 use lumisphere::geometry::{Camera, Intrinsics, Pose};
 use lumisphere::progress::Unattended;
-use lumisphere::render::{Backend, Frame, FrameRequest, Outputs, Refine, Renderer, Representation, Settings, UploadUnit};
+use lumisphere::render::{Backend, Frame, FrameRequest, Outputs, Refine, Renderer, Representation, Settings, UploadUnit, Uploads};
 use lumisphere::representations::offset_surface_light_field::{
     Blend, Component, ConstructSettings, Filter, OffsetSurfaceLightField, Placing, Settings as OslfSettings, Spacing, construct, from_parts,
 };
@@ -38,7 +38,7 @@ const IDLE_CAP_BYTES: u64 = 16 << 20;
 /// In the light that is stored.
 fn settings(component: Component, blend: Blend, filter: Filter) -> Settings {
     let (specular_reflectance, light) = (Vec3::ONE, Relighting::NONE);
-    Settings::OffsetSurfaceLightField(OslfSettings { component, blend, specular_reflectance, filter, light, reflections: 1 })
+    Settings::OffsetSurfaceLightField(OslfSettings { component, blend, specular_reflectance, filter, light, reflections: 1, bumps: None })
 }
 
 fn main() {
@@ -109,6 +109,7 @@ fn main() {
             filter: Filter::Footprint,
             light: Relighting::NONE,
             reflections: 1,
+            bumps: None,
         });
         for backend in backends(renderer.adapter().is_some()) {
             let render = |camera: &Camera| {
@@ -139,6 +140,7 @@ fn report_paging(field: &Arc<dyn Representation>, version: &Arc<DatasetVersion>,
         filter: Filter::Footprint,
         light: Relighting::NONE,
         reflections: 1,
+        bumps: None,
     };
     let settings = Settings::OffsetSurfaceLightField(settings);
     let cameras: Vec<Camera> = (0..STEPS).map(|k| orbit_at(center, radius, k as f32 / STEPS as f32)).collect();
@@ -261,7 +263,7 @@ impl PageSource for SlowPages {
 }
 
 fn request<'a>(camera: &'a Camera, settings: &'a Settings, refine: Refine) -> FrameRequest<'a> {
-    FrameRequest { camera, settings, outputs: Outputs { depth: false, provenance: false }, refine, table: None }
+    FrameRequest { camera, settings, outputs: Outputs { depth: false, provenance: false }, refine, uploads: Uploads::NONE }
 }
 
 fn backends(has_gpu: bool) -> Vec<Backend> {

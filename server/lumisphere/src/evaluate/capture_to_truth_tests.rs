@@ -12,7 +12,7 @@ use crate::directions::FACES;
 use crate::progress::Unattended;
 use crate::render::Renderer;
 use crate::representations::offset_surface_light_field as oslf;
-use crate::representations::{FrameRequest, Outputs, Refine, RenderError, Representation};
+use crate::representations::{FrameRequest, Outputs, Refine, RenderError, Representation, Uploads};
 use crate::scenes::{LoadOptions, Material, Relighting, SceneBundle, load};
 use crate::textures::{Codec, Page, PageId, PixelFormat, Publication, Store, StoreOptions};
 use oslf::tests::fixture::MemoryPages;
@@ -66,7 +66,7 @@ fn scene_with(lamps: &[[Vec3; 4]]) -> Scene {
 
 /// What was stored, as a renderer gets it.
 #[derive(Clone)]
-struct Stored {
+pub(super) struct Stored {
     field: Arc<OffsetSurfaceLightField>,
     pages: Vec<Arc<Page>>,
 }
@@ -106,7 +106,7 @@ fn captured(scene: &Scene, original: Original, (points, placing): (u32, Placing)
     Stored { field: Arc::new(field), pages }
 }
 
-fn fixture() -> &'static (Scene, Stored) {
+pub(super) fn fixture() -> &'static (Scene, Stored) {
     static FIXTURE: OnceLock<(Scene, Stored)> = OnceLock::new();
     FIXTURE.get_or_init(|| {
         let scene = scene();
@@ -145,9 +145,9 @@ impl Errors {
     }
 }
 
-fn setting(component: Component, blend: Blend) -> Settings {
+pub(super) fn setting(component: Component, blend: Blend) -> Settings {
     let (specular_reflectance, filter, light) = (Vec3::ONE, Filter::Footprint, Relighting::NONE);
-    Settings::OffsetSurfaceLightField(oslf::Settings { component, blend, specular_reflectance, filter, light, reflections: 1 })
+    Settings::OffsetSurfaceLightField(oslf::Settings { component, blend, specular_reflectance, filter, light, reflections: 1, bumps: None })
 }
 
 fn measured(scene: &Scene, stored: &Stored) -> Errors {
@@ -159,6 +159,16 @@ fn measured(scene: &Scene, stored: &Stored) -> Errors {
 
 // RMSE of L* / 100 of frames with each of `settings`.
 fn errors_of(scene: &Scene, stored: &Stored, settings: Vec<Settings>) -> Vec<f64> {
+    errors_with(scene, stored, settings, None)
+}
+
+/// The same where settings name a normal map, of the truth and of the frames.
+pub(super) fn errors_with(
+    scene: &Scene,
+    stored: &Stored,
+    settings: Vec<Settings>,
+    normal_maps: Option<(ContentHash, [Arc<NormalMap>; 2])>,
+) -> Vec<f64> {
     let plan = Plan {
         object: "ball".into(),
         original: stored.field.parameters.original,
@@ -168,13 +178,15 @@ fn errors_of(scene: &Scene, stored: &Stored, settings: Vec<Settings>) -> Vec<f64
         trace: TraceSettings { samples_per_pixel: 64, max_bounces: 1, seed: 9 },
         timed_frames: 1,
         tables: Default::default(),
+        normal_maps: normal_maps.iter().map(|(hash, [of_truth, _])| (*hash, of_truth.clone())).collect(),
     };
     let renderer = Renderer::cpu_only();
     let pages = MemoryPages(stored.pages.clone());
     let field: Arc<dyn Representation> = stored.field.clone();
     let mut render = |camera: &Camera, setting: usize| -> Result<Rendered, RenderError> {
         let outputs = Outputs { depth: false, provenance: false };
-        let request = FrameRequest { camera, settings: &settings[setting], outputs, refine: Refine::Whole, table: None };
+        let uploads = Uploads { normal_map: normal_maps.as_ref().map(|(_, [_, of_frames])| of_frames), ..Uploads::NONE };
+        let request = FrameRequest { camera, settings: &settings[setting], outputs, refine: Refine::Whole, uploads };
         let frame = renderer.render(&field, &pages, &request, None)?;
         let mut color = Image::zeros(frame.width_px as usize, frame.height_px as usize, 3);
         frame.pixels.color.as_chunks().0.iter().enumerate().for_each(|(i, rgb)| color.set_rgb(i, *rgb));

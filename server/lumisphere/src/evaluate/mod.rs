@@ -2,6 +2,8 @@
 //! (`sweep`), drawn (`chart`, `report`), and which setting follows from it (`choose`).
 
 #[cfg(test)]
+mod bumps_tests;
+#[cfg(test)]
 mod capture_to_truth_tests;
 mod chart;
 mod choose;
@@ -27,14 +29,14 @@ use std::sync::Arc;
 
 use thiserror::Error;
 
-use crate::geometry::Camera;
+use crate::geometry::{Camera, NormalMap};
 use crate::images::{CompareError, CompareOptions, Image, absolute_error_image, compare};
 use crate::progress::{Cancelled, Progress};
 use crate::radiometry::brdf::{BrdfModel, Measured};
 use crate::radiometry::dielectric::Dielectric;
 use crate::raytrace::{Mirrors, TraceError, TraceSettings};
 use crate::render::Backend;
-use crate::representations::offset_surface_light_field::GlossBrdf;
+use crate::representations::offset_surface_light_field::{Bumps, GlossBrdf};
 use crate::representations::{Original, Settings};
 use crate::scenes::{Relighting, Scene};
 use crate::textures::ContentHash;
@@ -70,12 +72,19 @@ pub struct Plan {
     pub timed_frames: u32,
     /// Of the settings' measured BRDFs.
     pub tables: BTreeMap<ContentHash, Arc<Measured>>,
+    /// Of the settings' bumps.
+    pub normal_maps: BTreeMap<ContentHash, Arc<NormalMap>>,
 }
 
 impl Plan {
     fn model<E: std::error::Error>(&self, brdf: GlossBrdf) -> Result<BrdfModel, EvaluateError<E>> {
         let table = brdf.table().and_then(|hash| self.tables.get(&hash));
         brdf.model(table).ok_or_else(|| EvaluateError::Plan(format!("{brdf:?} without its table")))
+    }
+
+    fn normal_map<E: std::error::Error>(&self, bumps: &Bumps) -> Result<Arc<NormalMap>, EvaluateError<E>> {
+        let missing = || EvaluateError::Plan(format!("normal map {} expected, which is not there", bumps.map));
+        self.normal_maps.get(&bumps.map).cloned().ok_or_else(missing)
     }
 }
 
@@ -140,8 +149,8 @@ pub fn evaluate<E: std::error::Error>(
     for look in plan
         .settings
         .iter()
-        .map(|s| (s.brdf(), s.dielectric(), several(s), s.light()))
-        .filter(|(brdf, body, mirrors, _)| brdf.is_some() || body.is_some() || mirrors.is_some())
+        .map(|s| (s.brdf(), s.dielectric(), several(s), s.light(), s.bumps()))
+        .filter(|(brdf, body, mirrors, _, _)| brdf.is_some() || body.is_some() || mirrors.is_some())
     {
         if !looks.contains(&look) {
             looks.push(look);
@@ -158,14 +167,15 @@ pub fn evaluate<E: std::error::Error>(
         plan.settings.iter().try_for_each(|s| s.check_frame(camera)).map_err(|e| EvaluateError::Plan(e.to_string()))?;
     }
     let object = scene.object(&plan.object).ok_or_else(|| EvaluateError::Plan(format!("scene has no object {:?}", plan.object)))?;
-    let mut lights: Vec<Relighting> = Vec::new();
-    for light in plan.settings.iter().map(Settings::light) {
-        if !lights.contains(&light) {
-            lights.push(light);
+    let mut stagings: Vec<Staging> = Vec::new();
+    for staging in plan.settings.iter().map(staging) {
+        if !stagings.contains(&staging) {
+            stagings.push(staging);
         }
     }
-    if lights.len() > MOST_LIGHTS {
-        return Err(EvaluateError::Plan(format!("settings in {} different lights, at most {MOST_LIGHTS} expected", lights.len())));
+    if stagings.len() > MOST_STAGINGS {
+        let problem = format!("settings in {} different lights, each with a normal map, at most {MOST_STAGINGS} expected", stagings.len());
+        return Err(EvaluateError::Plan(problem));
     }
     let as_captured = TruthRenderer::new(scene, object)?;
     let slugs = slugs(&plan.settings);
@@ -174,11 +184,14 @@ pub fn evaluate<E: std::error::Error>(
     let mut done = 0;
     for (v, camera) in plan.cameras.iter().enumerate() {
         progress.report("tracing the truth", done, steps);
-        let mut views = Vec::with_capacity(lights.len());
-        for light in &lights {
+        let mut views = Vec::with_capacity(stagings.len());
+        for (light, bumps) in &stagings {
             // Made anew for each camera: of the sky's tables there are never more than two.
-            let truths = as_captured.relit(scene, light);
-            let lit: Vec<&Settings> = plan.settings.iter().filter(|s| s.light() == *light).collect();
+            let mut truths = as_captured.relit(scene, light);
+            if let Some(bumps) = bumps {
+                truths = truths.with_normal_map(plan.normal_map(bumps)?, bumps.mapping);
+            }
+            let lit: Vec<&Settings> = plan.settings.iter().filter(|s| staging(s) == (*light, *bumps)).collect();
             let wanted: Vec<Truth> = lit.iter().flat_map(|s| truths_of(s, plan)).collect();
             let brdfs = lit.iter().filter_map(|s| s.brdf()).map(|brdf| Ok((brdf, plan.model(brdf)?)));
             let brdfs: Vec<(GlossBrdf, BrdfModel)> = brdfs.collect::<Result<_, EvaluateError<E>>>()?;
@@ -199,8 +212,8 @@ pub fn evaluate<E: std::error::Error>(
             progress.report("rendering and comparing", done, steps);
             let frame = timed(plan.timed_frames, total, progress, &mut || render(camera, s))?;
             let settings = &plan.settings[s];
-            let of_light = lights.iter().position(|light| *light == settings.light());
-            let view = &views[of_light.expect("gathered from the settings")];
+            let of_setting = stagings.iter().position(|known| *known == staging(settings));
+            let view = &views[of_setting.expect("gathered from the settings")];
             for truth in truths_of(settings, plan) {
                 let reference = view.reference(settings, truth);
                 total.add(truth, compare(&reference, &frame, Some(&view.mask), CompareOptions::STANDARD)?);
@@ -218,10 +231,17 @@ pub fn evaluate<E: std::error::Error>(
     Ok(totals.into_iter().enumerate().flat_map(of_setting).collect())
 }
 
-/// A view's truths are held together: one picture a BRDF, clear body or mirror that sees itself, and light.
+/// In which light, and with which normals, a truth is traced.
+type Staging = (Relighting, Option<Bumps>);
+
+fn staging(settings: &Settings) -> Staging {
+    (settings.light(), settings.bumps())
+}
+
+/// A view's truths are held together: one picture a BRDF, clear body or mirror that sees itself, light and normal map.
 pub const MOST_LOOKS: usize = 8;
-/// And up to three of each light.
-const MOST_LIGHTS: usize = 4;
+/// And up to three of each light and normal map.
+pub const MOST_STAGINGS: usize = 4;
 
 // What a setting is compared with: what is no mirror has one truth only.
 fn truths_of(settings: &Settings, plan: &Plan) -> Vec<Truth> {

@@ -13,7 +13,7 @@ use crate::radiometry::brdf::{AnalyticBrdf, AshikhminShirley};
 use crate::radiometry::dielectric::{Body, Dielectric};
 use crate::render::Renderer;
 use crate::representations::offset_surface_light_field as oslf;
-use crate::representations::{FrameRequest, Outputs, Refine, RenderError, Representation};
+use crate::representations::{FrameRequest, Outputs, Refine, RenderError, Representation, Uploads};
 use crate::scenes::{Environment, EnvironmentMap, LoadOptions, PointLight, SceneBundle, load};
 use crate::textures::{Codec, Page, PageId, PixelFormat, Publication, Staging, Store, StoreOptions};
 use oslf::tests::fixture::MemoryPages;
@@ -107,7 +107,7 @@ pub(super) fn stored(fill: impl FnOnce(&Staging) -> Parameters) -> Stored {
 }
 
 fn shown(component: Component, blend: Blend, light: Relighting) -> oslf::Settings {
-    oslf::Settings { component, blend, specular_reflectance: Vec3::ONE, filter: Filter::Footprint, light, reflections: 1 }
+    oslf::Settings { component, blend, specular_reflectance: Vec3::ONE, filter: Filter::Footprint, light, reflections: 1, bumps: None }
 }
 
 /// RMSE of L* / 100 of frames with each of `frames` against the truth of `of`, over both views.
@@ -123,11 +123,12 @@ fn errors(of: oslf::Settings, frames: &[oslf::Settings]) -> Vec<f64> {
         trace: TraceSettings { samples_per_pixel: 256, max_bounces: 3, seed: 9 },
         timed_frames: 1,
         tables: Default::default(),
+        normal_maps: Default::default(),
     };
     let mut render = |camera: &Camera, setting: usize| -> Result<Rendered, RenderError> {
         let outputs = Outputs { depth: false, provenance: false };
         let settings = Settings::OffsetSurfaceLightField(frames[setting]);
-        let request = FrameRequest { camera, settings: &settings, outputs, refine: Refine::Whole, table: None };
+        let request = FrameRequest { camera, settings: &settings, outputs, refine: Refine::Whole, uploads: Uploads::NONE };
         let frame = renderer.render(&stored.field, &stored.pages, &request, None)?;
         let mut color = Image::zeros(frame.width_px as usize, frame.height_px as usize, 3);
         frame.pixels.color.as_chunks().0.iter().enumerate().for_each(|(i, rgb)| color.set_rgb(i, *rgb));

@@ -10,7 +10,7 @@ use super::relighting_tests::{Stored, captured, sky, stored};
 use super::*;
 use crate::render::Renderer;
 use crate::representations::offset_surface_light_field as oslf;
-use crate::representations::{FrameRequest, Outputs, Refine, RenderError};
+use crate::representations::{FrameRequest, Outputs, Refine, RenderError, Uploads};
 use crate::scenes::{Environment, EnvironmentMap, LoadOptions, SceneBundle, load};
 use crate::textures::{Codec, PixelFormat};
 use oslf::{Blend, Component, Filter, OffsetSurfaceLightField, Placement, ReplaceSettings, Shares, Spacing, build_sample_maps, replace};
@@ -116,6 +116,7 @@ fn shown(component: Component, blend: Blend) -> Settings {
         filter: Filter::Footprint,
         light: Relighting::NONE,
         reflections: 1,
+        bumps: None,
     })
 }
 
@@ -132,11 +133,12 @@ fn errors(frames: &[(&Stored, Settings)]) -> Vec<[f64; 2]> {
         trace: TraceSettings { samples_per_pixel: 256, max_bounces: 3, seed: 9 },
         timed_frames: 1,
         tables: Default::default(),
+        normal_maps: Default::default(),
     };
     let mut render = |camera: &Camera, setting: usize| -> Result<Rendered, RenderError> {
         let outputs = Outputs { depth: false, provenance: false };
         let (stored, settings) = &frames[setting];
-        let request = FrameRequest { camera, settings, outputs, refine: Refine::Whole, table: None };
+        let request = FrameRequest { camera, settings, outputs, refine: Refine::Whole, uploads: Uploads::NONE };
         let frame = renderer.render(&stored.field, &stored.pages, &request, None)?;
         let mut color = Image::zeros(frame.width_px as usize, frame.height_px as usize, 3);
         frame.pixels.color.as_chunks().0.iter().enumerate().for_each(|(i, rgb)| color.set_rgb(i, *rgb));

@@ -42,7 +42,7 @@ pub struct Row {
 /// but for what settings share.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PictureNames {
-    /// What is true; shared by all settings of one component, glossy ones and those in other light aside.
+    /// What is true; shared by all settings of one component, glossy ones, those in other light and those with a normal map aside.
     pub truth: String,
     /// What was rendered.
     pub frame: String,
@@ -53,9 +53,10 @@ pub struct PictureNames {
 impl PictureNames {
     /// `slug` names the setting among those of the evaluation.
     pub(super) fn new(view: usize, setting: &SettingName, slug: &str, truth: Truth) -> Self {
-        // What is true of a BRDF, or in other light, is so of one setting.
-        let is_its_own =
-            matches!(truth, Truth::OneGlossyReflection | Truth::OneRefraction | Truth::SeveralReflections) || setting.light.is_some();
+        // What is true of a BRDF, in other light, or of turned normals, is so of one setting.
+        let is_its_own = matches!(truth, Truth::OneGlossyReflection | Truth::OneRefraction | Truth::SeveralReflections)
+            || setting.light.is_some()
+            || setting.normal_map.is_some();
         let of = if is_its_own { slug } else { setting.component };
         let truth = truth.name();
         Self {
@@ -175,6 +176,7 @@ mod tests {
         body: None,
         reflections: None,
         order: None,
+        normal_map: None,
     };
 
     #[test]

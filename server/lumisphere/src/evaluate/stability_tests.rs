@@ -11,7 +11,7 @@ use crate::radiometry::color::Lab;
 use crate::raytrace::Mirrors;
 use crate::render::Renderer;
 use crate::representations::offset_surface_light_field as oslf;
-use crate::representations::{Answer, FrameRequest, Outputs, Refine};
+use crate::representations::{Answer, FrameRequest, Outputs, Refine, Uploads};
 use crate::scenes::{LoadOptions, SceneBundle, load};
 use oslf::{Blend, Component, Filter};
 
@@ -86,6 +86,7 @@ fn shown(component: Component, blend: Blend, reflections: u32) -> Settings {
         filter: Filter::Footprint,
         light,
         reflections,
+        bumps: None,
     })
 }
 
@@ -95,7 +96,7 @@ fn found(scene: &Scene, stored: &Stored, truths: &[ViewTruth], settings: &Settin
     let mut all = [Found::default(); 4];
     for (camera, truth) in scene.cameras.iter().map(|c| &c.camera).zip(truths) {
         let outputs = Outputs { depth: true, provenance: true };
-        let request = FrameRequest { camera, settings, outputs, refine: Refine::Whole, table: None };
+        let request = FrameRequest { camera, settings, outputs, refine: Refine::Whole, uploads: Uploads::NONE };
         let pixels = renderer.render(&stored.field, &stored.pages, &request, None).unwrap().pixels;
         let reference = truth.reference(of.0, of.1);
         let (depth, provenance) = (pixels.depth.unwrap(), pixels.provenance.unwrap());

@@ -1,11 +1,12 @@
 //! Path-traced images to compare with: of four kinds, of any BRDF, clear body, and mirror that sees itself.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use glam::Vec3;
 use serde::Serialize;
 
-use crate::geometry::Camera;
+use crate::geometry::{Camera, Mapping, NormalMap};
 use crate::images::Image;
 use crate::progress::{Cancelled, Progress};
 use crate::radiometry::brdf::BrdfModel;
@@ -90,6 +91,11 @@ impl TruthRenderer {
     /// The same in other light.
     pub fn relit(&self, scene: &Scene, light: &Relighting) -> Self {
         Self { tracer: self.tracer.relit(&scene.environment, light), object: self.object }
+    }
+
+    /// The same with a map that turns the normals by which the object reflects.
+    pub fn with_normal_map(&self, map: Arc<NormalMap>, mapping: Mapping) -> Self {
+        Self { tracer: self.tracer.with_normal_map(self.object, map, mapping), object: self.object }
     }
 
     /// The truths in `wanted`, and the diffuse one, seen from `camera`; glossy ones are for `add_glossy`. Around the object, which enters only the windows of FLIP and SSIM at

@@ -4,16 +4,13 @@
 //!
 //! Unlike a rendered frame, which sees one point a pixel, a truth is the mean over the pixel's square, at silhouettes too.
 
-use std::sync::Arc;
-
 use glam::Vec3;
 use thiserror::Error;
 
 use crate::geometry::Camera;
 use crate::progress::{Cancelled, Progress};
-use crate::radiometry::brdf::Measured;
 use crate::raytrace::{Appearance, Seen, TraceError, TraceSettings, Tracer, Under};
-use crate::representations::{Original, Outputs, Pixels, Provenance, Settings};
+use crate::representations::{Original, Outputs, Pixels, Provenance, Settings, Uploads};
 use crate::scenes::{Environment, Relighting, Scene};
 
 /// Paths of one pass, of all its pixels together: tens of seconds of two cores.
@@ -52,8 +49,8 @@ pub struct TruthPass<'a> {
     pub paths_per_pixel: u32,
     /// What comes beside colour.
     pub outputs: Outputs,
-    /// Of the settings' BRDF, where that is a measured one.
-    pub table: Option<&'a Arc<Measured>>,
+    /// What the settings name.
+    pub uploads: Uploads<'a>,
 }
 
 /// Why there is no truth.
@@ -76,6 +73,9 @@ pub enum TruthError {
     /// Settings that name a measured BRDF, without it.
     #[error("the measured BRDF did not come with the settings")]
     NoTable,
+    /// Settings that name a normal map, without it.
+    #[error("the normal map did not come with the settings")]
+    NoNormalMap,
     /// Nobody waits for it any more.
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
@@ -120,7 +120,13 @@ impl TruthPasses {
         }
         let settings = TraceSettings { samples_per_pixel: paths, max_bounces: pass.max_bounces, seed: SEED };
         let first = pass.pass.min(MOST_TRUTH_PASSES) * paths;
-        let tracer = self.in_light(pass.settings.light());
+        let lit = self.in_light(pass.settings.light());
+        let bumped = match (pass.settings.bumps(), pass.uploads.normal_map) {
+            (Some(bumps), Some(map)) => Some(lit.with_normal_map(object, map.clone(), bumps.mapping)),
+            (Some(_), None) => return Err(TruthError::NoNormalMap),
+            (None, _) => None,
+        };
+        let tracer = bumped.as_ref().unwrap_or(lit);
         let seen = |appearance, wanted: &(dyn Fn(usize, usize) -> bool + Sync)| {
             tracer.with_appearance(object, appearance).seen(first, wanted, camera, &settings, progress)
         };
@@ -146,7 +152,7 @@ fn parts(pass: &TruthPass<'_>) -> Result<Parts, TruthError> {
         return Ok(Parts::Whole(Appearance::OneRefraction { dielectric }));
     }
     Ok(match (settings.brdf(), settings.mirrors()) {
-        (Some(brdf), _) => Parts::Whole(Appearance::OneGlossy { brdf: brdf.model(pass.table).ok_or(TruthError::NoTable)? }),
+        (Some(brdf), _) => Parts::Whole(Appearance::OneGlossy { brdf: brdf.model(pass.uploads.table).ok_or(TruthError::NoTable)? }),
         (None, None) if pass.original == Original::AsAuthored => Parts::Object(Appearance::AsAuthored),
         (None, None) => Parts::Whole(Appearance::Diffuse),
         (None, Some(mirrors)) => match mirrors.under {
@@ -190,12 +196,29 @@ mod tests {
     fn of_light_field(component: oslf::Component) -> Settings {
         let (blend, specular_reflectance, filter) = (oslf::Blend::Average, Vec3::new(0.5, 0.25, 1.0), oslf::Filter::Footprint);
         let light = Relighting::NONE;
-        Settings::OffsetSurfaceLightField(oslf::Settings { component, blend, specular_reflectance, filter, light, reflections: 1 })
+        Settings::OffsetSurfaceLightField(oslf::Settings {
+            component,
+            blend,
+            specular_reflectance,
+            filter,
+            light,
+            reflections: 1,
+            bumps: None,
+        })
     }
 
     fn pass<'a>(settings: &'a Settings, pass: u32, paths_per_pixel: u32) -> TruthPass<'a> {
         let original = Original::Diffuse;
-        TruthPass { object: "ball", max_bounces: BOUNCES, original, settings, pass, paths_per_pixel, outputs: COLOR_ALONE, table: None }
+        TruthPass {
+            object: "ball",
+            max_bounces: BOUNCES,
+            original,
+            settings,
+            pass,
+            paths_per_pixel,
+            outputs: COLOR_ALONE,
+            uploads: Uploads::NONE,
+        }
     }
 
     fn mean_of(passes: &mut TruthPasses, settings: &Settings, camera: &Camera, count: u32, paths: u32) -> Pixels {

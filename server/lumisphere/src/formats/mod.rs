@@ -8,6 +8,7 @@ pub mod lens;
 pub mod lp;
 pub mod marked_corners;
 pub mod merl;
+pub mod normal_map;
 pub mod obj;
 pub mod photograph_list;
 pub mod transforms_json;

@@ -54,6 +54,12 @@ pub fn tangent_along_u([a, b, c]: [Vec3; 3], [at_a, at_b, at_c]: [Vec2; 3]) -> V
     if turn == 0.0 { Vec3::ZERO } else { ((b - a) * to_c.y - (c - a) * to_b.y) * turn.signum() }
 }
 
+/// Of a triangle whose corners run counter-clockwise about its normal n: 1 where v grows to the side of n × the tangent along u, −1 where its
+/// texture is mirrored.
+pub fn side_of_v([a, b, c]: [Vec2; 3]) -> f32 {
+    if (b - a).perp_dot(c - a) < 0.0 { -1.0 } else { 1.0 }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -80,6 +86,13 @@ mod tests {
             assert!((tangent_along_u(uvs.map(position), uvs).normalize() - Vec3::X).length() < 1e-6);
         }
         assert_eq!(tangent_along_u(at.map(position), [Vec2::ONE; 3]), Vec3::ZERO);
+    }
+
+    #[test]
+    fn v_grows_to_the_left_of_u_but_in_a_mirrored_texture() {
+        let at = [Vec2::new(0.2, 0.1), Vec2::new(0.9, 0.3), Vec2::new(0.4, 0.8)];
+        assert_eq!(side_of_v(at), 1.0);
+        assert_eq!(side_of_v(at.map(|at| Vec2::new(1.0 - at.x, at.y))), -1.0);
     }
 
     #[test]

@@ -33,6 +33,7 @@ pub use hdr::decode_hdr;
 pub use image::Image;
 pub use jpeg::{JpegQuality, decode_jpeg, decode_jpeg_codes, encode_jpeg, encode_jpeg_pixels};
 pub use metrics::{CompareError, CompareOptions, Comparison, absolute_error_image, compare, flip_error_image};
+pub(crate) use png::decode_png_texels;
 pub use png::{decode_png, decode_png_codes, encode_png};
 pub use read::{Nan, ReadLimits, decode_image, decode_image_codes, read_image};
 pub use rgb8::Rgb8;

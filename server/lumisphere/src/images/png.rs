@@ -3,7 +3,7 @@
 //! Called for frames and contact sheets (out), textures and photographs (in).
 
 use image::codecs::png::{CompressionType, FilterType, PngDecoder, PngEncoder};
-use image::{ExtendedColorType, ImageEncoder as _};
+use image::{DynamicImage, ExtendedColorType, ImageEncoder as _};
 
 use super::display_referred::{decode_codes, linear_planes, rgb8};
 use super::{Format, Image, ImageError, ReadLimits, Rgb8};
@@ -30,4 +30,12 @@ pub fn decode_png(bytes: &[u8], limits: ReadLimits) -> Result<Image, ImageError>
 /// The codes as they are in the file, 16-bit ones rounded to 8, alpha dropped: for photographs whose transfer curve is not sRGB.
 pub fn decode_png_codes(bytes: &[u8], limits: ReadLimits) -> Result<Rgb8, ImageError> {
     Ok(rgb8(decode_codes(Format::Png, bytes, PngDecoder::new, limits)?))
+}
+
+/// The codes as they are in the file, of its own depth and channels: for maps of what is no colour.
+pub(crate) fn decode_png_texels(bytes: &[u8], limits: ReadLimits) -> Result<DynamicImage, ImageError> {
+    match Format::of(bytes)? {
+        Format::Png => decode_codes(Format::Png, bytes, PngDecoder::new, limits),
+        format => Err(ImageError::Unsupported { format, feature: "a map of what is no colour".into() }),
+    }
 }

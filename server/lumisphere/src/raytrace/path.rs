@@ -14,9 +14,9 @@ use super::coherence::{direction_key, sort_by_key};
 use super::lights::Lights;
 use super::low_discrepancy::SampleSequence;
 use super::packets::{PacketStack, RAYS, RayPacket};
-use super::scattering::{Lobe, Scatterer, facing};
+use super::scattering::{Lobe, Scatterer, facing, facing_bumped};
 use super::sky_cells::NormalBin;
-use super::surfaces::{Reflectance, SurfacePoint, SurfaceTriangle, TexelGrid, offset_along, rounding_at};
+use super::surfaces::{Bumps, Reflectance, SurfacePoint, SurfaceTriangle, TexelGrid, offset_along, rounding_at};
 use super::tracer::{Mirrors, Under};
 use super::traverse::{RawHit, Stack};
 use super::warp::power_heuristic;
@@ -40,6 +40,8 @@ pub(super) struct Look {
     pub reflectance: Vec<Reflectance>,
     /// Objects that a camera ray sees otherwise, once.
     pub once: Vec<Option<Once>>,
+    /// Objects whose normals are turned where they are mirrors, or are seen otherwise.
+    pub bumps: Vec<Option<Bumps>>,
     /// Named by `Reflectance::Glossy` and `Once::Glossy`.
     pub brdfs: Vec<BrdfModel>,
 }
@@ -210,7 +212,7 @@ impl<'a> PathTracer<'a> {
                 return Turned::GoesOn;
             }
         }
-        let (geometric_normal, shading_normal) = facing(point, -path.direction);
+        let (geometric_normal, shading_normal) = facing_bumped(point, -path.direction, self.look.bumps_of(point));
         let scatterer = Scatterer { geometric_normal, shading_normal, wo: -path.direction, lobe: Lobe::Mirror(mirrors.reflectance) };
         path.direction = scatterer.mirrored();
         path.origin = leave(point, path.direction);
@@ -222,7 +224,7 @@ impl<'a> PathTracer<'a> {
     fn scatter_first(&mut self, index: u32, point: &SurfacePoint<'a>, brdf: usize) -> bool {
         let look = self.look;
         let path = &mut self.paths[index as usize];
-        let (geometric_normal, shading_normal) = facing(point, -path.direction);
+        let (geometric_normal, shading_normal) = facing_bumped(point, -path.direction, look.bumps_of(point));
         let lobe = Lobe::Glossy { brdf: &look.brdfs[brdf], tangent: point.triangle.tangent() };
         let scatterer = Scatterer { geometric_normal, shading_normal, wo: -path.direction, lobe };
         let from = leave(point, geometric_normal);
@@ -314,7 +316,10 @@ impl<'a> PathTracer<'a> {
         }
         let look = self.look;
         let reflectance = look.reflectance[point.triangle.object as usize];
-        let scatterer = Scatterer::new(&point, reflectance, &self.world.textures, &look.brdfs, -path.direction);
+        let mut scatterer = Scatterer::new(&point, reflectance, &self.world.textures, &look.brdfs, -path.direction);
+        if let (Lobe::Mirror(_), bumps @ Some(_)) = (scatterer.lobe, look.bumps_of(&point)) {
+            (_, scatterer.shading_normal) = facing_bumped(&point, scatterer.wo, bumps);
+        }
         self.scatter(index, leave(&point, scatterer.geometric_normal), &scatterer, bounces + 1)
     }
 
@@ -452,7 +457,11 @@ fn survive(throughput: Vec3, bounces: u32, random: &mut SampleSequence) -> Optio
 impl Look {
     /// Nothing changed: each object as its material says.
     pub fn authored(reflectance: Vec<Reflectance>, brdfs: Vec<BrdfModel>) -> Self {
-        let once = vec![None; reflectance.len()];
-        Self { reflectance, once, brdfs }
+        let (once, bumps) = (vec![None; reflectance.len()], vec![None; reflectance.len()]);
+        Self { reflectance, once, bumps, brdfs }
+    }
+
+    fn bumps_of(&self, point: &SurfacePoint<'_>) -> Option<&Bumps> {
+        self.bumps[point.triangle.object as usize].as_ref()
     }
 }

@@ -5,7 +5,7 @@ use std::f32::consts::{FRAC_1_PI, PI};
 use glam::{Vec2, Vec3};
 
 use super::sky_cells::NormalBin;
-use super::surfaces::{Reflectance, SurfacePoint, TexelGrid};
+use super::surfaces::{Bumps, Reflectance, SurfacePoint, TexelGrid};
 use super::warp;
 use crate::geometry::TangentFrame;
 use crate::radiometry::brdf::{AshikhminShirley, Brdf, BrdfModel};
@@ -130,4 +130,12 @@ pub(super) fn facing(point: &SurfacePoint, wo: Vec3) -> (Vec3, Vec3) {
     let geometric = point.triangle.front * 1f32.copysign(point.triangle.front.dot(wo));
     let shading = point.triangle.shading_normal(point.u, point.v);
     (geometric, shading * 1f32.copysign(shading.dot(geometric)))
+}
+
+/// The same of a surface with a normal map: its shading normal is turned, on the side that it is on without.
+pub(super) fn facing_bumped(point: &SurfacePoint, wo: Vec3, bumps: Option<&Bumps>) -> (Vec3, Vec3) {
+    let (geometric, shading) = facing(point, wo);
+    let Some(bumps) = bumps else { return (geometric, shading) };
+    let side = 1f32.copysign(point.triangle.shading_normal(point.u, point.v).dot(shading));
+    (geometric, side * point.triangle.bumped_normal(point.u, point.v, bumps))
 }

@@ -1,9 +1,11 @@
 //! The scene's triangles and textures, flattened for shading: one record a triangle, no pointer to follow but one.
 
+use std::sync::Arc;
+
 use glam::{Vec2, Vec3};
 
 use super::traverse::RawHit;
-use crate::geometry::{TriangleMesh, tangent_along_u};
+use crate::geometry::{Mapping, NormalMap, Tangent, TriangleMesh, side_of_v, tangent_along_u, turned_normal};
 use crate::radiometry::brdf::{AshikhminShirley, BrdfModel, CookTorrance, directional_albedo};
 use crate::scenes::{Albedo, Material, Scene, Texture};
 
@@ -20,6 +22,13 @@ pub(super) struct SurfaceTriangle {
     /// Which object, and which triangle of its mesh.
     pub object: u32,
     pub triangle: u32,
+}
+
+/// A normal map on an object.
+#[derive(Debug, Clone)]
+pub(super) struct Bumps {
+    pub map: Arc<NormalMap>,
+    pub mapping: Mapping,
 }
 
 /// How a surface reflects, ready to evaluate.
@@ -102,6 +111,19 @@ impl SurfaceTriangle {
     /// Direction in which the texture's u grows, any length.
     pub fn tangent(&self) -> Vec3 {
         tangent_along_u(self.corners, self.uvs)
+    }
+
+    /// The same, and where v grows about the stored side of the shading normals.
+    fn tangent_and_side(&self) -> Tangent {
+        let [a, b, c] = self.corners;
+        let is_wound_about_front = (b - a).cross(c - a).dot(self.front) >= 0.0;
+        let side = side_of_v(self.uvs);
+        Tangent { along_u: self.tangent(), side_of_v: if is_wound_about_front { side } else { -side } }
+    }
+
+    /// `shading_normal` as a map turns it, still on its stored side.
+    pub fn bumped_normal(&self, u: f32, v: f32, bumps: &Bumps) -> Vec3 {
+        turned_normal(self.shading_normal(u, v), &self.tangent_and_side(), bumps.map.slopes(self.uv(u, v), &bumps.mapping))
     }
 
     /// Area in squared scene units.

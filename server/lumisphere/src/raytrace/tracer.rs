@@ -11,10 +11,10 @@ use super::lights::Lights;
 use super::low_discrepancy::SampleSequence;
 use super::path::{Look, Once, PathTracer, World};
 use super::render::TraceSettings;
-use super::surfaces::{self, Reflectance, SurfacePoint, SurfaceTriangle, TexelGrid};
+use super::surfaces::{self, Bumps, Reflectance, SurfacePoint, SurfaceTriangle, TexelGrid};
 use super::traverse::Stack;
 use super::warp::even_directions;
-use crate::geometry::Ray;
+use crate::geometry::{Mapping, NormalMap, Ray};
 use crate::radiometry::brdf::BrdfModel;
 use crate::radiometry::dielectric::Dielectric;
 use crate::scenes::{Albedo, Environment, Material, Relighting, Scene};
@@ -179,6 +179,17 @@ impl Tracer {
                 Appearance::PhysicalGlossy { brdf } => Reflectance::glossy(brdf, &mut look.brdfs),
                 Appearance::PhysicalMirror { reflectance } => Reflectance::Mirror(reflectance),
             };
+        }
+        Self { world: self.world.clone(), look: Arc::new(look), authored: self.authored.clone() }
+    }
+
+    /// The same scene with a normal map on one object, where that is a mirror or is seen otherwise by camera rays alone; Lambertian surfaces
+    /// stay as they are. A mirror's ray that would enter the surface leaves as if there were no map, nor an interpolated normal; what of a
+    /// glossy lobe would is lost. An object that the scene does not have changes nothing.
+    pub fn with_normal_map(&self, object: usize, map: Arc<NormalMap>, mapping: Mapping) -> Self {
+        let mut look = (*self.look).clone();
+        if let Some(bumps) = look.bumps.get_mut(object) {
+            *bumps = Some(Bumps { map, mapping });
         }
         Self { world: self.world.clone(), look: Arc::new(look), authored: self.authored.clone() }
     }

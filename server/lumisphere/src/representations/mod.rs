@@ -12,6 +12,7 @@ pub mod parameter_map;
 mod pending_pixels;
 mod provenance;
 mod requests;
+mod uploads;
 
 use std::any::Any;
 use std::sync::Arc;
@@ -22,7 +23,6 @@ use thiserror::Error;
 use crate::geometry::Camera;
 #[cfg(feature = "gpu")]
 use crate::gpu::{Gpu, GpuCacheStats, GpuError};
-use crate::radiometry::brdf::Measured;
 use crate::radiometry::dielectric::Dielectric;
 use crate::raytrace::{Mirrors, Under};
 use crate::scenes::Relighting;
@@ -37,6 +37,7 @@ pub use page_source::{CachedPages, CountingReader, CountingSource, Fetched, Page
 pub use pending_pixels::PendingPixels;
 pub use provenance::{Answer, Provenance};
 pub use requests::{Lobe, PixelOrder, Recording, RequestTrace, TexelRequest};
+pub use uploads::Uploads;
 
 /// Which representation a dataset holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -101,19 +102,20 @@ pub struct SettingName {
     /// `integrate-first`; None where it is the default or there are no directions.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub order: Option<&'static str>,
+    /// `9f86d081-strength-1-repeat-3`, where a map turns the normals.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub normal_map: Option<String>,
 }
 
 impl SettingName {
-    /// Joined by hyphens, for file names; filter, reflections, light and order only where they are not the default ones.
+    /// Joined by hyphens, for file names; filter, reflections, light, order and normal map only where they are not the default ones.
     pub fn slug(&self) -> String {
         let exponent = self.exponent.map(|n| n.to_string());
         let filter = (self.filter != oslf::Filter::default().name()).then_some(self.filter);
         let reflections = self.reflections.map(|n| format!("reflections-{n}"));
-        [Some(self.component), self.blend, exponent.as_deref(), filter, reflections.as_deref(), self.light.as_deref(), self.order]
-            .into_iter()
-            .flatten()
-            .collect::<Vec<_>>()
-            .join("-")
+        let map = self.normal_map.as_ref().map(|name| format!("bumps-{name}"));
+        let names = [Some(self.component), self.blend, exponent.as_deref(), filter, reflections.as_deref(), self.light.as_deref()];
+        names.into_iter().chain([self.order, map.as_deref()]).flatten().collect::<Vec<_>>().join("-")
     }
 }
 
@@ -147,6 +149,7 @@ impl Settings {
                     body: self.dielectric().map(|dielectric| dielectric.name()),
                     reflections: s.sees_itself().then_some(s.reflections),
                     order: s.order().filter(|order| *order != oslf::Order::BlendFirst).map(oslf::Order::name),
+                    normal_map: s.bumps.map(|bumps| bumps.name()),
                 }
             }
             Self::ParameterMap(s) => SettingName {
@@ -160,6 +163,7 @@ impl Settings {
                 body: None,
                 reflections: None,
                 order: None,
+                normal_map: None,
             },
         }
     }
@@ -185,6 +189,14 @@ impl Settings {
         match self {
             Self::OffsetSurfaceLightField(oslf::Settings { component: oslf::Component::Refraction(dielectric), .. }) => Some(*dielectric),
             Self::OffsetSurfaceLightField(_) | Self::ParameterMap(_) => None,
+        }
+    }
+
+    /// What turns the object's normals.
+    pub fn bumps(&self) -> Option<oslf::Bumps> {
+        match self {
+            Self::OffsetSurfaceLightField(s) => s.bumps,
+            Self::ParameterMap(_) => None,
         }
     }
 
@@ -383,8 +395,8 @@ pub struct FrameRequest<'a> {
     pub outputs: Outputs,
     /// Whether the frame may be shown before all of its pages are on the device.
     pub refine: Refine,
-    /// Of the settings' BRDF, where that is a measured one.
-    pub table: Option<&'a Arc<Measured>>,
+    /// What the settings name.
+    pub uploads: Uploads<'a>,
 }
 
 /// What to do about pages that a frame needs and that are not on the device. The CPU draws whole frames only.
@@ -464,9 +476,9 @@ pub enum RenderError {
         "which texels depth-corrected reads ask for depends on what is stored; to record a frame another blend than corrected is expected"
     )]
     DependsOnPages,
-    /// Requests of frames in other light, of clear bodies, or of mirrors that see themselves cannot be recorded.
+    /// Requests of frames in other light, of clear bodies, with a normal map, or of mirrors that see themselves cannot be recorded.
     #[error(
-        "frames in other light, of clear bodies and of mirrors that see themselves read more than cube maps; to record one no relighting, another component or one reflection is expected"
+        "frames in other light, of clear bodies, with a normal map and of mirrors that see themselves read more than cube maps; to record one no relighting, another component, no map or one reflection is expected"
     )]
     ReadsMore,
     /// A frame that would light, or coat, what has its own light and reflections in it.
@@ -483,6 +495,15 @@ pub enum RenderError {
         /// Hash of its file.
         table: ContentHash,
     },
+    /// Settings that name a normal map, without it.
+    #[error("the normal map {map} did not come with the request")]
+    NoNormalMap {
+        /// Hash of its file.
+        map: ContentHash,
+    },
+    /// A normal map on what it cannot be on.
+    #[error(transparent)]
+    Bumps(#[from] oslf::BumpsError),
     /// Settings of another kind than the dataset's.
     #[error("settings are of a {}, the dataset is of another kind", settings.name())]
     OtherKind {

@@ -205,6 +205,9 @@ impl Wish {
             let problem = "GLOSSY, another component expected: a recording's own lobe draws directions";
             return Err(ApiError::field("settings.offset_surface_light_field.component", problem));
         }
+        if settings.bumps().is_some() {
+            return Err(ApiError::field("settings.offset_surface_light_field.normal_map", "given, none expected in a recording"));
+        }
         Ok(Self {
             dataset: wire::dataset_name(&m.dataset, "dataset")?,
             version: m.version,

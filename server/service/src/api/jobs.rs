@@ -72,7 +72,7 @@ fn submit(app: &App, message: Option<proto::JobSpec>, id: String) -> Result<JobV
         let manifest = app.catalog.manifest(dataset, wanted)?;
         spec.settings().iter().try_for_each(|s| check_kind(&s.settings, &manifest.kind))?;
         spec.settings().iter().try_for_each(|s| check_original(&s.settings, &manifest.parameters))?;
-        spec.settings().iter().try_for_each(|s| app.catalog.tables().check(&s.settings))?;
+        spec.settings().iter().try_for_each(|s| app.catalog.looks().check(&s.settings))?;
         let expected = match spec {
             JobSpec::Fit(_) => Some(OBSERVATION_MAP),
             JobSpec::Suggest(_) => Some(Kind::ParameterMap.name()),

@@ -68,7 +68,7 @@ async fn render(app: &App, m: proto::RenderFrameRequest, deadline: Option<tokio:
     let (catalog, begun) = (app.catalog.clone(), Instant::now());
     let version = blocking(move || catalog.open_version(&dataset, m.version)).await?;
     check_kind(&settings.settings, version.representation.kind().name())?;
-    version.tables.check(&settings.settings)?;
+    version.looks.check(&settings.settings)?;
     check_truth(&settings, &version)?;
     let opening_micros = begun.elapsed().as_micros() as u64;
     let (version_shown, refine, passes) = (version.clone(), Refine::Whole, settings.passes);

@@ -11,7 +11,7 @@ use crate::wire::proto::{self, system_server::System};
 use crate::wire::{API, MAX_CHUNK_BYTES, MAX_FRAME_MESSAGE_BYTES, MAX_LINK_PAYLOAD_BYTES, MAX_REQUEST_BYTES};
 
 /// Sorted.
-const FEATURES: [&str; 29] = [
+const FEATURES: [&str; 30] = [
     "brdf_tables",
     "depth_format",
     "encoding.exr",
@@ -34,6 +34,7 @@ const FEATURES: [&str; 29] = [
     "job.thin",
     "measure_link",
     "moving_frames_per_second",
+    "normal_maps",
     "reflection",
     "refraction",
     "relighting",

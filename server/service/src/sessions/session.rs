@@ -190,7 +190,7 @@ impl Session {
         let catalog = stage.catalog.clone();
         let version = blocking(move || catalog.open_version(&dataset, open.version)).await?;
         check_kind(&settings.settings, version.representation.kind().name())?;
-        version.tables.check(&settings.settings)?;
+        version.looks.check(&settings.settings)?;
         check_truth(&settings, &version)?;
         let sequences = Sequences::default();
         let wish = Wish { pose: None, settings, output, sequences, revision: 0, changed: Instant::now(), poses: 0, acknowledged: 0 };
@@ -242,7 +242,7 @@ impl Session {
         let output = output_settings.map(|o| output(Some(o), Delivery::Stream, "settings.output")).transpose()?;
         if let Some(settings) = &settings {
             check_kind(&settings.settings, self.version.representation.kind().name())?;
-            self.version.tables.check(&settings.settings)?;
+            self.version.looks.check(&settings.settings)?;
             check_truth(settings, &self.version)?;
         }
         let acknowledged = acknowledge.map_or(0, |a| a.frame_id);

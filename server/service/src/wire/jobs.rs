@@ -610,6 +610,9 @@ fn thin(m: proto::ThinSpec, field: &str) -> Result<ThinSpec, ApiError> {
     if let Some(mirrors) = settings.settings.mirrors().filter(|mirrors| mirrors.reflections > 1) {
         return Err(ApiError::field(at("settings.reflections"), format!("{}, 1 expected", mirrors.reflections)));
     }
+    if settings.settings.bumps().is_some() {
+        return Err(ApiError::field(at("settings.normal_map"), "a normal map, none expected"));
+    }
     if settings.settings.light().changes_light() {
         return Err(ApiError::field(at("settings.relighting"), "other light than was captured, none expected"));
     }

@@ -2,6 +2,7 @@
 
 use glam::Vec3;
 use lumisphere::evaluate::{MOST_PATHS_PER_PIXEL, MOST_TRUTH_PASSES};
+use lumisphere::geometry::Mapping;
 use lumisphere::images::{Exposure, JpegQuality, ToneMap};
 use lumisphere::radiometry::dielectric::{Body, Dielectric, MOST_INDEX};
 use lumisphere::representations::offset_surface_light_field as oslf;
@@ -11,7 +12,7 @@ use lumisphere::textures::ContentHash;
 use serde::Deserialize;
 
 use super::camera::vec3;
-use super::{count, proto, required, within};
+use super::{count, hash, proto, required, within};
 use crate::config::BackendChoice;
 use crate::depth_plane::{DepthFormat, DepthPlane, MAX_STEP};
 use crate::errors::{ApiError, Reason};
@@ -30,6 +31,8 @@ const DEFAULT_TRUTH_PASSES: u32 = 64;
 const MAX_EXPOSURE_STOPS: f32 = 30.0;
 const MAX_EXPOSURE_GAMMA: f32 = 1000.0;
 const MAX_TURN_DEG: f32 = 360.0;
+/// Of a normal map: less of it is as good as flat.
+const LEAST_REPEATS: f32 = 0.001;
 /// Coordinates and intensities: their squares are far from overflow.
 const MAX_OF_A_LIGHT: f32 = 1e9;
 
@@ -218,7 +221,18 @@ fn oslf_settings(message: proto::OffsetSurfaceLightFieldSettings, field: &str) -
     }
     let light = message.relighting.map_or(Ok(Relighting::NONE), |m| relighting(m, &format!("{field}.relighting")))?;
     let reflections = count(message.reflections, 1, 1, oslf::MOST_REFLECTIONS, &format!("{field}.reflections"))?;
-    Ok(oslf::Settings { component, blend, specular_reflectance, filter, light, reflections })
+    let bumps = message.normal_map.map(|m| bumps(m, &format!("{field}.normal_map"))).transpose()?;
+    let settings = oslf::Settings { component, blend, specular_reflectance, filter, light, reflections, bumps };
+    settings.check_bumps().map_err(|e| ApiError::field(format!("{field}.normal_map"), e))?;
+    Ok(settings)
+}
+
+fn bumps(message: proto::offset_surface_light_field_settings::NormalMap, field: &str) -> Result<oslf::Bumps, ApiError> {
+    let at = |name: &str| format!("{field}.{name}");
+    let map = hash(&message.image, &at("image"))?;
+    let strength = within(message.strength.unwrap_or(1.0), -oslf::MOST_STRENGTH, oslf::MOST_STRENGTH, &at("strength"))?;
+    let repeat = within(message.repeat.unwrap_or(1.0), LEAST_REPEATS, oslf::MOST_REPEATS, &at("repeat"))?;
+    Ok(oslf::Bumps { map, mapping: Mapping { strength, repeat } })
 }
 
 fn relighting(message: proto::offset_surface_light_field_settings::Relighting, field: &str) -> Result<Relighting, ApiError> {
@@ -484,7 +498,40 @@ mod tests {
             relighting: None,
             reflections: 0,
             refraction: None,
+            normal_map: None,
         }
+    }
+
+    #[test]
+    fn normal_maps_have_defaults_and_are_refused_by_field() {
+        use proto::offset_surface_light_field_settings::NormalMap;
+        let image = ContentHash([0xab; 32]).to_string();
+        let of = |image: &str, strength, repeat, message: proto::OffsetSurfaceLightFieldSettings| {
+            let normal_map = Some(NormalMap { image: image.into(), strength, repeat });
+            oslf_settings(proto::OffsetSurfaceLightFieldSettings { normal_map, ..message }, "s")
+        };
+        let bumps = of(&image, None, None, message(2, 1)).unwrap().bumps.unwrap();
+        assert_eq!(bumps, oslf::Bumps { map: ContentHash([0xab; 32]), mapping: Mapping { strength: 1.0, repeat: 1.0 } });
+        assert_eq!(
+            of(&image, Some(-0.5), Some(3.0), message(3, 1)).unwrap().bumps.unwrap().mapping,
+            Mapping { strength: -0.5, repeat: 3.0 }
+        );
+        for (image, strength, repeat, problem) in [
+            ("12", None, None, "s.normal_map.image: "),
+            (&*image, Some(f32::NAN), None, "s.normal_map.strength: NaN, -16 to 16 expected"),
+            (&*image, Some(17.0), None, "s.normal_map.strength: 17,"),
+            (&*image, None, Some(0.0), "s.normal_map.repeat: 0, 0.001 to 4096 expected"),
+            (&*image, None, Some(f32::INFINITY), "s.normal_map.repeat: inf,"),
+        ] {
+            let error = of(image, strength, repeat, message(2, 1)).unwrap_err().to_string();
+            assert!(error.starts_with(problem), "{error}");
+        }
+        let refused = |message| of(&image, None, None, message).unwrap_err().to_string();
+        assert!(refused(message(1, 0)).starts_with("s.normal_map: a normal map with reconstruction"));
+        let refraction = Some(proto::offset_surface_light_field_settings::Refraction { index: None, body: 0 });
+        assert!(refused(proto::OffsetSurfaceLightFieldSettings { refraction, ..message(5, 1) }).contains("with refraction"));
+        let twice = proto::OffsetSurfaceLightFieldSettings { reflections: 2, ..message(2, 1) };
+        assert!(refused(twice).starts_with("s.normal_map: a normal map with 2 reflections"));
     }
 
     #[test]

@@ -31,7 +31,13 @@ impl Work {
             let problem = format!("{} measured BRDFs, at most {} expected", tables.len(), evaluate::MOST_LOOKS);
             return Err(ApiError::field("spec.evaluate.settings", problem));
         }
-        let tables = tables.into_iter().map(|hash| Ok((hash, version.tables.get(hash)?)));
+        let tables = tables.into_iter().map(|hash| Ok((hash, version.looks.tables.get(hash)?)));
+        let normal_maps: BTreeSet<_> = spec.settings.iter().filter_map(|s| Some(s.settings.bumps()?.map)).collect();
+        if normal_maps.len() > evaluate::MOST_STAGINGS {
+            let problem = format!("{} normal maps, at most {} expected", normal_maps.len(), evaluate::MOST_STAGINGS);
+            return Err(ApiError::field("spec.evaluate.settings", problem));
+        }
+        let normal_maps = normal_maps.into_iter().map(|hash| Ok((hash, version.looks.normal_maps.get(hash)?)));
         let plan = Plan {
             object: captured.object.into(),
             original: captured.original,
@@ -45,6 +51,7 @@ impl Work {
             },
             timed_frames: spec.timed_frames_per_view,
             tables: tables.collect::<Result<_, ApiError>>()?,
+            normal_maps: normal_maps.collect::<Result<_, ApiError>>()?,
         };
         let mut blobs = Vec::new();
         let mut render = |camera: &Camera, setting: usize| {

@@ -1,10 +1,13 @@
 //! The looks that ground truths are made of.
 
 use std::f32::consts::PI;
+use std::sync::Arc;
 
 use glam::Vec3;
 
 use super::*;
+use crate::geometry::{Mapping, NormalMap};
+use crate::radiometry::brdf::CookTorrance;
 use crate::radiometry::dielectric::{Body, Dielectric};
 use crate::raytrace::{Appearance, Mirrors, Under};
 use crate::scenes::{Environment, PointLight};
@@ -120,6 +123,41 @@ fn a_mirror_reflects_the_sky_of_the_mirrored_direction() {
     let expected = 0.5 * scene.environment.radiance(Vec3::new(d.x, -d.y, d.z));
     // The sample lies up to half a degree off the pixel's centre: under a tenth of a texel of a map that rises by 1 a texel.
     assert!((Vec3::from(image.radiance.rgb(0)) - expected).abs().max_element() < 0.1);
+}
+
+/// Of an even slope s along u the normal is (s t + n) / √(1 + s²), which turns what is mirrored by twice atan s; where that would be below the floor,
+/// the floor mirrors as without a map.
+#[test]
+fn a_floor_of_an_even_slope_mirrors_by_the_turned_normal_unless_that_is_into_the_floor() {
+    let mesh = floor(50.0, 0.0);
+    let along_u = crate::geometry::tangent_along_u(mesh.corners(0), mesh.triangles[0].map(|i| mesh.uvs[i as usize])).normalize();
+    let mut scene = scene(vec![(mesh, diffuse(0.5), None)], Vec3::ZERO);
+    scene.environment = sky_map(64, 0.4, |column, row| Vec3::new(column as f32, row as f32, 1.0));
+    let view = camera(Vec3::new(0.0, 1.0, 0.0), 2.0 * along_u + Vec3::new(0.3, 0.0, 0.2), 1.0, 1);
+    let d = view.pixel_ray(0, 0).direction;
+    let tracer = Tracer::new(&scene).unwrap();
+    let narrow = CookTorrance::new(Vec2::splat(1e-3), Vec3::ONE, Vec3::ONE).unwrap();
+    for (slope, enters) in [(0.1f32, false), (-0.3, false), (0.9, true)] {
+        let map = Arc::new(NormalMap::new(1, 1, [Vec2::new(slope, 0.0)]).unwrap());
+        let seen = |appearance| {
+            let tracer = tracer.with_appearance(0, appearance).with_normal_map(0, map.clone(), Mapping { strength: 1.0, repeat: 1.0 });
+            Vec3::from(render(&tracer, &view, &settings(16, 1)).radiance.rgb(0))
+        };
+        let mirrored = |n: Vec3| d - 2.0 * n.dot(d) * n;
+        let turned = mirrored((slope * along_u + Vec3::Y).normalize());
+        assert_eq!(turned.y < 0.0, enters);
+        let r = if enters { mirrored(Vec3::Y) } else { turned };
+        // As without a map, and near the zenith, where columns are narrow.
+        for appearance in [Appearance::Mirrors(Mirrors::one(Vec3::ONE)), Appearance::PhysicalMirror { reflectance: Vec3::ONE }] {
+            let (mirrored, expected) = (seen(appearance), scene.environment.radiance(r));
+            assert!((mirrored - expected).abs().max_element() < 0.3, "{slope}: {mirrored}, {expected} expected");
+        }
+        let (highlight, expected) = (seen(Appearance::OneGlossy { brdf: narrow.into() }), scene.environment.radiance(r));
+        let expected = if enters { Vec3::ZERO } else { expected };
+        assert!((highlight - expected).abs().max_element() < 0.5, "{slope}: {highlight} of a highlight, {expected} expected");
+        // What is diffuse stays so.
+        assert_eq!(seen(Appearance::Diffuse), Vec3::from(render(&tracer, &view, &settings(16, 1)).radiance.rgb(0)));
+    }
 }
 
 #[test]

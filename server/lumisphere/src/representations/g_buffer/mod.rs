@@ -47,19 +47,19 @@ pub struct GBufferPixel {
     pub a: [f32; 4],
     /// The object's unit shading normal, or the finished radiance of everything else.
     pub b: [f32; 4],
-    /// Derivatives, per pixel, of the object's point and of its unit normal, by the pixel's column and by its row; 0 for everything else.
+    /// Derivatives, per pixel, of the object's point, unit normal and (u, v), by the pixel's column and by its row; 0 for everything else.
     pub differentials: [SurfaceDifferential; 2],
-    /// Where the object's u grows, along its triangle, of any length; three coordinates and 0. 0 for everything else.
+    /// Where the object's u grows, along its triangle, of any length, and the side to which v grows (`geometry::side_of_v`). 0 for everything else.
     pub tangent: [f32; 4],
 }
 
-/// How the object's point and unit normal change from one pixel to the next, on the plane of the triangle that is seen.
+/// How the object's point, unit normal and texture coordinates change from one pixel to the next, on the plane of the triangle that is seen.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub struct SurfaceDifferential {
-    /// Three coordinates and 0.
+    /// Three coordinates, and u.
     pub position: [f32; 4],
-    /// Three coordinates and 0.
+    /// Three coordinates, and v.
     pub normal: [f32; 4],
 }
 

@@ -18,6 +18,7 @@ struct ObjectTriangle {
 struct SurfaceDifferential {
     position: vec3<f32>,
     normal: vec3<f32>,
+    uv: vec2<f32>,
 }
 
 struct ObjectPoint {
@@ -29,6 +30,7 @@ struct ObjectPoint {
     across: SurfaceDifferential,
     down: SurfaceDifferential,
     tangent: vec3<f32>,
+    side_of_v: f32,
 }
 
 const LEAST_SINE: f32 = 0.02;
@@ -58,6 +60,8 @@ struct SeenTriangle {
     length: f32,
     normal_along_b: vec3<f32>,
     normal_along_c: vec3<f32>,
+    uv_along_b: vec2<f32>,
+    uv_along_c: vec2<f32>,
 }
 
 fn differential(t: SeenTriangle, by: vec3<f32>) -> SurfaceDifferential {
@@ -66,8 +70,9 @@ fn differential(t: SeenTriangle, by: vec3<f32>) -> SurfaceDifferential {
     let along_c = dot(cross(t.e1, position), t.area) / t.squared;
     let turned = along_b * t.normal_along_b + along_c * t.normal_along_c;
     let normal = (turned - t.normal * dot(t.normal, turned)) / t.length;
+    let uv = along_b * t.uv_along_b + along_c * t.uv_along_c;
     let exists = t.squared > 0.0 && t.length > 0.0;
-    return SurfaceDifferential(select(vec3(0.0), position, exists), select(vec3(0.0), normal, exists));
+    return SurfaceDifferential(select(vec3(0.0), position, exists), select(vec3(0.0), normal, exists), select(vec2(0.0), uv, exists));
 }
 
 // Twin of tangent_frame.rs.
@@ -78,6 +83,12 @@ fn tangent_along_u(t: ObjectTriangle) -> vec3<f32> {
     let e1 = t.b.position - t.a.position;
     let e2 = t.c.position - t.a.position;
     return (e1 * to_c.y - e2 * to_b.y) * sign(turn);
+}
+
+fn side_of_v(t: ObjectTriangle) -> f32 {
+    let to_b = t.b.uv - t.a.uv;
+    let to_c = t.c.uv - t.a.uv;
+    return select(1.0, -1.0, to_b.x * to_c.y - to_b.y * to_c.x < 0.0);
 }
 
 fn object_point(direction: vec3<f32>, triangle: u32) -> ObjectPoint {
@@ -103,8 +114,11 @@ fn object_point(direction: vec3<f32>, triangle: u32) -> ObjectPoint {
     t.normal = normal / t.length;
     t.normal_along_b = b.normal - a.normal;
     t.normal_along_c = c.normal - a.normal;
+    t.uv_along_b = b.uv - a.uv;
+    t.uv_along_c = c.uv - a.uv;
     let by = ray_derivatives(camera, direction);
     let across = differential(t, by.across);
     let down = differential(t, by.down);
-    return ObjectPoint(uv, normalize_or(normal, -direction), at.distance, corners.part, at.front, across, down, tangent_along_u(corners));
+    let unit = normalize_or(normal, -direction);
+    return ObjectPoint(uv, unit, at.distance, corners.part, at.front, across, down, tangent_along_u(corners), side_of_v(corners));
 }

@@ -15,16 +15,16 @@ fn resolve(@builtin(global_invocation_id) id: vec3<u32>) {
     let triangle = visible_triangle(at) - 1u;
     var a = vec4(0.0, 0.0, -2.0, camera.infinity);
     var b = vec3(0.0);
-    var across = SurfaceDifferential(vec3(0.0), vec3(0.0));
+    var across = SurfaceDifferential(vec3(0.0), vec3(0.0), vec2(0.0));
     var down = across;
-    var tangent = vec3(0.0);
+    var tangent = vec4(0.0);
     if list == OBJECT_LIST {
         let point = object_point(direction, triangle);
         a = vec4(point.uv, select(-4.0 - f32(point.part), f32(point.part), point.front), point.distance);
         b = point.normal;
         across = point.across;
         down = point.down;
-        tangent = point.tangent;
+        tangent = vec4(point.tangent, point.side_of_v);
     } else if list == SKY_LIST {
         b = environment_radiance(direction);
     } else {
@@ -34,9 +34,9 @@ fn resolve(@builtin(global_invocation_id) id: vec3<u32>) {
     }
     resolved[7u * id.x] = a;
     resolved[7u * id.x + 1u] = vec4(b, 0.0);
-    resolved[7u * id.x + 2u] = vec4(across.position, 0.0);
-    resolved[7u * id.x + 3u] = vec4(across.normal, 0.0);
-    resolved[7u * id.x + 4u] = vec4(down.position, 0.0);
-    resolved[7u * id.x + 5u] = vec4(down.normal, 0.0);
-    resolved[7u * id.x + 6u] = vec4(tangent, 0.0);
+    resolved[7u * id.x + 2u] = vec4(across.position, across.uv.x);
+    resolved[7u * id.x + 3u] = vec4(across.normal, across.uv.y);
+    resolved[7u * id.x + 4u] = vec4(down.position, down.uv.x);
+    resolved[7u * id.x + 5u] = vec4(down.normal, down.uv.y);
+    resolved[7u * id.x + 6u] = tangent;
 }

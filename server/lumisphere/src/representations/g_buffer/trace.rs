@@ -5,7 +5,7 @@ use std::sync::Arc;
 use glam::{Vec2, Vec3};
 
 use super::{BackgroundVertex, GBufferPixel, ObjectVertex, ProxyGeometry, Seen, SurfaceDifferential, pixel_angle};
-use crate::geometry::{Camera, Ray, tangent_along_u};
+use crate::geometry::{Camera, Ray, side_of_v, tangent_along_u};
 use crate::raytrace::{Bvh, Stack};
 
 /// Casts rays at the object and its background. Built once per dataset.
@@ -61,12 +61,13 @@ impl GBufferTracer {
         let seen = if faces(corners.map(|c| c.position), ray) { Seen::Object { part } } else { Seen::ObjectBack { part } };
         let differentials = derivatives.map(|by| differential(corners, normal, ray.direction, distance, by));
         let normal = normal.normalize_or(-ray.direction);
-        let tangent = tangent_along_u(corners.map(|c| c.position.into()), corners.map(|c| c.uv.into()));
+        let uvs = corners.map(|c| c.uv.into());
+        let tangent = tangent_along_u(corners.map(|c| c.position.into()), uvs);
         GBufferPixel {
             a: [uv.x, uv.y, seen.code(), distance],
             b: normal.extend(0.0).into(),
             differentials,
-            tangent: tangent.extend(0.0).into(),
+            tangent: tangent.extend(side_of_v(uvs)).into(),
         }
     }
 
@@ -141,7 +142,9 @@ fn differential(corners: [ObjectVertex; 3], normal: Vec3, direction: Vec3, dista
     let length = normal.length();
     let n = normal / length;
     let normal = (turned - n * n.dot(turned)) / length;
-    SurfaceDifferential { position: position.extend(0.0).into(), normal: normal.extend(0.0).into() }
+    let [at_a, at_b, at_c] = corners.map(|c| Vec2::from(c.uv));
+    let uv = along_b * (at_b - at_a) + along_c * (at_c - at_a);
+    SurfaceDifferential { position: position.extend(uv.x).into(), normal: normal.extend(uv.y).into() }
 }
 
 // Whether the ray meets the side from which the corners run counter-clockwise.

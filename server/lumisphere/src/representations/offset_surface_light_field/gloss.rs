@@ -15,9 +15,10 @@
 
 use glam::{Vec2, Vec3};
 
+use super::bumps::Reflecting;
 use super::prefiltered::over_highlight;
 use super::relight::light_visibility;
-use super::shade::{NOTHING, ReadCube, Shaded, Sight, blend_weights, mirrored, radiance_toward, toward_samples};
+use super::shade::{NOTHING, ReadCube, Shaded, Sight, blend_weights, radiance_toward, toward_samples};
 use super::{Blend, Filter, Gloss, GlossBrdf, NO_SAMPLE, OffsetSurfaceLightField, Settings};
 use crate::directions::DirectionDifferential;
 use crate::geometry::TangentFrame;
@@ -28,7 +29,8 @@ use crate::representations::provenance::{Answer, Provenance};
 /// A direction reads so many times its share of the lobe: side by side, shares would show (Křivánek & Colbert's K).
 const OVERLAP: f32 = 4.0;
 
-/// Radiance reflected by `gloss.brdf`, whose +X lies along `tangent`; that of point lights, too.
+/// Radiance reflected by `gloss.brdf`, whose +Z is the normal by which the surface reflects and whose +X lies along `tangent`; that of point
+/// lights, too.
 #[expect(clippy::too_many_arguments, reason = "what a pixel sees, from which each look begins")]
 pub(super) fn glossy(
     field: &OffsetSurfaceLightField,
@@ -36,7 +38,7 @@ pub(super) fn glossy(
     gloss: &Gloss,
     at: &Sight,
     by: &[Sight; 2],
-    tangent: Vec3,
+    (reflecting, tangent): (&Reflecting, Vec3),
     candidates: [u16; 4],
     cubes: &mut dyn ReadCube,
 ) -> Result<Shaded, RenderError> {
@@ -50,21 +52,23 @@ pub(super) fn glossy(
         (GlossBrdf::Measured(hash), None) => return Err(RenderError::NoTable { table: *hash }),
     };
     let white = Settings { specular_reflectance: Vec3::ONE, ..*settings };
-    let frame = TangentFrame::along(at.normal, tangent);
-    let lobe = Lobe { brdf, frame, wo: frame.local_from_world(-at.direction), pixel: mirrored(at, by) };
+    let frame = TangentFrame::along(reflecting.normal, tangent);
+    let lobe = Lobe { brdf, frame, wo: frame.local_from_world(-at.direction), reflecting };
     let (mut radiance, answer) = match gloss.highlight_about(lobe.wo) {
         Some(highlight) => {
-            let look = over_highlight(&lobe.frame, highlight, at.normal, &lobe.pixel);
+            let look = over_highlight(&lobe.frame, highlight, at.normal, &reflecting.mirrored);
             let found = radiance_toward(field, &white, at, by, &look, candidates, cubes)?;
             let (wi, _) = highlight;
-            (lobe.weight(wi, brdf.pdf(lobe.wo, wi)) * found.radiance, found.provenance.answer())
+            let weight = if reflecting.enters(look.direction, at) { Vec3::ZERO } else { lobe.weight(wi, brdf.pdf(lobe.wo, wi)) };
+            (weight * found.radiance, found.provenance.answer())
         }
         None => lobe.drawn(field, &white, gloss, at, by, candidates, cubes)?,
     };
     for light in settings.light.point_lights() {
         let to_light = light.position - at.position;
-        let wi = frame.local_from_world(to_light.normalize_or_zero());
-        if wi.z > 0.0 {
+        let toward = to_light.normalize_or_zero();
+        let wi = frame.local_from_world(toward);
+        if wi.z > 0.0 && !reflecting.enters(toward, at) {
             let seen = light_visibility(field, at, candidates, light.position, cubes)?;
             radiance += brdf.eval(lobe.wo, wi) * light.intensity * (seen * wi.z / to_light.length_squared());
         }
@@ -80,8 +84,8 @@ struct Lobe<'a> {
     frame: TangentFrame,
     /// Tangent space.
     wo: Vec3,
-    /// As a mirror would show it.
-    pixel: DirectionDifferential,
+    /// As a mirror would, too.
+    reflecting: &'a Reflecting,
 }
 
 impl Lobe<'_> {
@@ -102,13 +106,14 @@ impl Lobe<'_> {
         candidates: [u16; 4],
         cubes: &mut dyn ReadCube,
     ) -> Result<(Vec3, Answer), RenderError> {
-        let covered = self.pixel.across.cross(self.pixel.down).length();
+        let mirrored = &self.reflecting.mirrored;
+        let covered = mirrored.across.cross(mirrored.down).length();
         let integrates_first = gloss.integrates_first(white.blend);
         let (weights, mut is_filled) = match integrates_first {
             false => ([1.0, 0.0, 0.0, 0.0], false),
             true => {
                 let toward = toward_samples(field, candidates, at.position, at.normal);
-                let blend = blend_weights(white.blend, candidates, toward, at.normal, self.pixel.direction);
+                let blend = blend_weights(white.blend, candidates, toward, at.normal, mirrored.direction);
                 (blend.weights, blend.answer != Answer::Hit)
             }
         };
@@ -120,9 +125,13 @@ impl Lobe<'_> {
             let mut integral = Vec3::ZERO;
             for number in first..sharing {
                 let Some((wi, density)) = self.brdf.sample(self.wo, place(number, gloss.directions, own)) else { continue };
+                let toward = self.frame.world_from_local(wi);
+                if self.reflecting.enters(toward, at) {
+                    continue;
+                }
                 let weight = self.weight(wi, density);
                 let solid_angle = OVERLAP / (sharing as f32 * density) + covered;
-                let look = spread(self.frame.world_from_local(wi), solid_angle, white.filter);
+                let look = spread(toward, solid_angle, white.filter);
                 if integrates_first {
                     integral += weight * cubes.read_cube(own, &look)?;
                 } else {

@@ -13,15 +13,22 @@ fn measured_texel(at: u32) -> vec4<f32> {
     return textureLoad(measured_table, place_of(at), 0);
 }
 
-fn glossy(at: Sight, across: Sight, down: Sight, tangent: vec3<f32>, candidates: vec4<u32>) -> Shaded {
+fn glossy(
+    at: Sight,
+    across: Sight,
+    down: Sight,
+    reflecting: Reflecting,
+    tangent: vec3<f32>,
+    candidates: vec4<u32>,
+) -> Shaded {
     let nearest = first_of(candidates != vec4(NO_SAMPLE));
     if nearest == 4u && BLEND != ENVIRONMENT_MAP {
         return Shaded(vec3(0.0), PROVENANCE_UNKNOWN);
     }
     let named = select(element(candidates, nearest), shading.baseline_cube, BLEND == ENVIRONMENT_MAP);
-    let frame = frame_along(at.normal, tangent);
+    let frame = frame_along(reflecting.normal, tangent);
     let wo = local_from_world(frame, -at.direction);
-    let pixel = mirrored(at, across, down);
+    let pixel = reflecting.mirrored;
     let covered = length(cross(pixel.across, pixel.down));
     var blend = BlendWeights(vec4(1.0, 0.0, 0.0, 0.0), HIT);
     if INTEGRATES_FIRST {
@@ -39,9 +46,11 @@ fn glossy(at: Sight, across: Sight, down: Sight, tangent: vec3<f32>, candidates:
     var is_filled = blend.answer != HIT;
     if PREFILTERED {
         let highlight = highlight_about(wo);
-        let found = radiance_toward(at, across, down, over_highlight(frame, highlight, at.normal, pixel), candidates);
+        let look = over_highlight(frame, highlight, at.normal, pixel);
+        let found = radiance_toward(at, across, down, look, candidates);
         let density = brdf_pdf(gloss, wo, highlight.wi);
-        let weight = select(vec3(0.0), brdf_eval(gloss, wo, highlight.wi) * (highlight.wi.z / density), density > 0.0);
+        let is_lost = !(density > 0.0) || enters(reflecting, look.direction, at);
+        let weight = select(brdf_eval(gloss, wo, highlight.wi) * (highlight.wi.z / density), vec3(0.0), is_lost);
         radiance = weight * found.radiance;
         is_filled = (found.provenance >> 30u) != HIT;
     } else {
@@ -55,10 +64,11 @@ fn glossy(at: Sight, across: Sight, down: Sight, tangent: vec3<f32>, candidates:
             var integral = vec3(0.0);
             for (var number = shading.first_direction; number < sharing; number++) {
                 let drawn = brdf_sample(gloss, wo, place(number, own));
-                if drawn.pdf > 0.0 {
+                let toward = world_from_local(frame, drawn.wi);
+                if drawn.pdf > 0.0 && !enters(reflecting, toward, at) {
                     let weight = brdf_eval(gloss, wo, drawn.wi) * (drawn.wi.z / drawn.pdf);
                     let solid_angle = OVERLAP / (f32(sharing) * drawn.pdf) + covered;
-                    let look = spread(world_from_local(frame, drawn.wi), solid_angle);
+                    let look = spread(toward, solid_angle);
                     if INTEGRATES_FIRST {
                         integral += weight * read_cube(own, look);
                     } else {
@@ -75,8 +85,9 @@ fn glossy(at: Sight, across: Sight, down: Sight, tangent: vec3<f32>, candidates:
     if RELIT {
         for (var number = 0u; number < light.point_light_count; number++) {
             let to_light = light.point_lights[number].position - at.position;
-            let wi = local_from_world(frame, normalize_or(to_light, vec3(0.0)));
-            if wi.z > 0.0 {
+            let toward = normalize_or(to_light, vec3(0.0));
+            let wi = local_from_world(frame, toward);
+            if wi.z > 0.0 && !enters(reflecting, toward, at) {
                 let seen = light_visibility(at, candidates, light.point_lights[number].position);
                 let arriving = light.point_lights[number].intensity * (seen * wi.z / dot(to_light, to_light));
                 radiance += brdf_eval(gloss, wo, wi) * arriving;

@@ -3,6 +3,7 @@
 mod ahead;
 mod frame;
 mod light;
+mod normal_map;
 mod table;
 mod tree;
 
@@ -26,6 +27,7 @@ use crate::representations::{FrameRequest, GpuFrameStats, GpuKernel, Original, P
 use crate::scenes::MOST_POINT_LIGHTS;
 use crate::textures::{Page, PageId, PixelFormat, PolicyKind};
 use light::LightTextures;
+use normal_map::NormalMapTexture;
 use table::TableTexture;
 use tree::TreeTexture;
 
@@ -46,6 +48,7 @@ pub(crate) const SOURCE: &str = concat!(
     include_str!("refraction.wgsl"),
     include_str!("../../geometry/tangent_frame.wgsl"),
     include_str!("../../radiometry/brdf/brdf.wgsl"),
+    include_str!("bumps.wgsl"),
     include_str!("prefiltered.wgsl"),
     include_str!("gloss.wgsl")
 );
@@ -72,6 +75,9 @@ pub(crate) struct ShadingUniform {
     pub refraction_index: f32,
     pub first_packet: u32,
     pub reflections: u32,
+    pub normal_map_size: [u32; 2],
+    pub normal_strength: f32,
+    pub normal_repeat: f32,
 }
 
 /// Layout as WGSL's `LightInfo`.
@@ -120,6 +126,7 @@ pub(crate) struct Kernel {
     light_textures: LightTextures,
     tree: TreeTexture,
     table: TableTexture,
+    normal_map: NormalMapTexture,
     sample_points: wgpu::Buffer,
     sample_maps: wgpu::Buffer,
     touched: wgpu::Buffer,
@@ -139,8 +146,8 @@ pub(crate) struct Kernel {
 }
 
 // Component and whether it sees itself, blend, BRDF, order and whether prefiltered, textures of the atlas, whether reads are filtered, whether coarse levels stand
-// in, how light is another.
-type PipelineKey = ((u32, bool), u32, (u32, bool, bool), usize, bool, bool, (bool, bool));
+// in, how light is another, whether a map turns normals.
+type PipelineKey = ((u32, bool), u32, (u32, bool, bool), usize, bool, bool, (bool, bool), bool);
 
 struct BoundAtlas {
     atlas: Atlas,
@@ -174,7 +181,8 @@ impl Kernel {
             binding::read_buffer(8),
         ];
         let [a, b, c, d] = [0, 1, 2, 3].map(binding::texture_array);
-        let atlas_entries = [a, b, c, d, binding::texture(4), binding::texture(5), binding::texture(6), binding::texture(7)];
+        let [e, f, g, h, i] = [4, 5, 6, 7, 8].map(binding::texture);
+        let atlas_entries = [a, b, c, d, e, f, g, h, i];
         let none = wgpu::BufferUsages::empty();
         let positions: Vec<[f32; 4]> = field.sample_points.iter().map(|p| p.position.extend(0.0).into()).collect();
         // On little-endian machines, the only ones there are graphics drivers for, four u16 are the two words that WGSL unpacks.
@@ -191,6 +199,7 @@ impl Kernel {
             light_textures: LightTextures::none(&gpu),
             tree: TreeTexture::none(&gpu),
             table: TableTexture::none(&gpu),
+            normal_map: NormalMapTexture::none(&gpu),
             sample_points: storage_buffer(&gpu, "sample points", &positions, none),
             sample_maps: storage_buffer(&gpu, "sample maps", &maps, none),
             touched: storage_buffer(&gpu, "touched", &touched_words, wgpu::BufferUsages::COPY_SRC),
@@ -246,6 +255,7 @@ impl Kernel {
         self.light_textures = LightTextures::none(&self.gpu);
         self.tree = TreeTexture::none(&self.gpu);
         self.table = TableTexture::none(&self.gpu);
+        self.normal_map = NormalMapTexture::none(&self.gpu);
     }
 
     fn forget_pages(&mut self) {
@@ -263,6 +273,7 @@ impl Kernel {
             + light
             + self.tree.bytes()
             + self.table.bytes()
+            + self.normal_map.bytes()
             + buffers.iter().map(|b| b.size()).sum::<u64>()
             + BAND_BYTES
     }
@@ -350,7 +361,7 @@ impl Kernel {
             .views()
             .iter()
             .chain(self.light_textures.views())
-            .chain([self.tree.view(), self.table.view()])
+            .chain([self.tree.view(), self.table.view(), self.normal_map.view()])
             .map(wgpu::BindingResource::TextureView)
             .collect();
         self.shader.bind(&self.gpu, 2, &views)
@@ -382,6 +393,7 @@ impl Kernel {
             filtered,
             stand_in,
             (settings.light.turns(), settings.light.changes_light()),
+            settings.bumps.is_some(),
         );
         let constants = [
             ("COMPONENT", f64::from(key.0.0)),
@@ -396,6 +408,7 @@ impl Kernel {
             ("STAND_IN", f64::from(u8::from(stand_in))),
             ("TURNED", f64::from(u8::from(settings.light.turns()))),
             ("RELIT", f64::from(u8::from(settings.light.changes_light()))),
+            ("BUMPED", f64::from(u8::from(key.7))),
         ];
         if !self.pipelines.contains_key(&key) {
             self.gpu.settle();

@@ -30,6 +30,10 @@ struct Shading {
     first_packet: u32,
     // In `mirror`, at most.
     reflections: u32,
+    // Of BUMPED: texels along u and v, what slopes are multiplied with, and how often the map repeats.
+    normal_map_size: vec2<u32>,
+    normal_strength: f32,
+    normal_repeat: f32,
 }
 
 @group(1) @binding(0) var object_triangles: texture_2d<u32>;
@@ -465,11 +469,11 @@ fn blend_weights(
     return BlendWeights(select(weights, only(nearest), vanished), select(HIT, FILLED, vanished));
 }
 
-fn mirror(at: Sight, across: Sight, down: Sight, candidates: vec4<u32>) -> Shaded {
+fn mirror(at: Sight, across: Sight, down: Sight, r: DirectionDifferential, candidates: vec4<u32>) -> Shaded {
     if SEES_ITSELF {
         return reflections(at, across, down, candidates);
     }
-    return radiance_toward(at, across, down, mirrored(at, across, down), candidates);
+    return radiance_toward(at, across, down, r, candidates);
 }
 
 fn radiance_toward(at: Sight, across: Sight, down: Sight, r: DirectionDifferential, candidates: vec4<u32>) -> Shaded {
@@ -532,18 +536,19 @@ fn shade_object(direction: vec3<f32>, point: ObjectPoint) -> Shaded {
     let across = scaled(point.across, by.across);
     let down = scaled(point.down, by.down);
     let candidates = candidates_at(point.part, point.uv);
+    let reflecting = reflecting_at(at, across, down, point);
     var shaded: Shaded;
     if COMPONENT == RECONSTRUCTION {
         shaded = reconstruct(at, across, down, candidates);
     } else if COMPONENT == MIRROR {
-        shaded = mirror(at, across, down, candidates);
+        shaded = mirror(at, across, down, reflecting.mirrored, candidates);
     } else if COMPONENT == GLOSSY {
-        shaded = glossy(at, across, down, point.tangent, candidates);
+        shaded = glossy(at, across, down, reflecting, point.tangent, candidates);
     } else if COMPONENT == SOLID || COMPONENT == THIN {
         shaded = refraction(at, across, down, candidates);
     } else {
         let own = reconstruct(at, across, down, candidates);
-        let reflected = mirror(at, across, down, candidates);
+        let reflected = mirror(at, across, down, reflecting.mirrored, candidates);
         shaded = Shaded(own.radiance + reflected.radiance, worse(own.provenance, reflected.provenance));
     }
     return Shaded(shaded.radiance, select(PROVENANCE_UNKNOWN, shaded.provenance, point.front));

@@ -11,6 +11,7 @@
 //! - mirror and full with several reflections: the object as it sees itself (`reflections.rs`);
 //! - glossy: `∫ f_r(v, l) Σⱼ βⱼ Lᵢ(pⱼ; l) (n·l) dl` by Monte Carlo, for any BRDF, in either order (`gloss.rs`);
 //! - as a clear body: the mirror's radiance and that toward which a ray leaves the body, weighted by Fresnel's equations (`refraction.rs`);
+//! - with a normal map: mirrored and glossy by turned normals (`bumps.rs`);
 //! - in other light: the environment turned, point lights added (`relight.rs`);
 //! - baseline: one environment map at the object's centre, taken without the object, read with r.
 //!
@@ -19,6 +20,7 @@
 //!
 //! Source: the methods page "Offset surface light field" and the paper behind it.
 
+mod bumps;
 #[cfg(feature = "gpu")]
 mod coarse;
 mod construct;
@@ -61,6 +63,7 @@ use crate::representations::{Captured, CpuKernel, Kind, Original, RenderError, R
 use crate::scenes::Relighting;
 use crate::textures::{ContentHash, PageId, PageShape};
 
+pub use bumps::{Bumps, BumpsError, MOST_REPEATS, MOST_STRENGTH};
 pub use construct::{ConstructError, ConstructSettings, construct};
 pub use density::Placing;
 #[cfg(all(test, feature = "gpu"))]
@@ -415,6 +418,8 @@ pub struct Settings {
     /// Mirror reflections one after the other in `Mirror` and `Full`, 1 to [`MOST_REFLECTIONS`]: where the ray meets the object again, that is
     /// a mirror, too, but for the last. 1 is the paper's.
     pub reflections: u32,
+    /// What turns the normals by which `Mirror`, `Full` and `Glossy` reflect.
+    pub bumps: Option<Bumps>,
 }
 
 impl Settings {

@@ -12,13 +12,15 @@ use super::requests::record_requests;
 use super::shade::{ReadCube, shade_object};
 use super::{OffsetSurfaceLightField, Settings};
 use crate::directions::{Footprint, Texel, bilinear_footprint};
-use crate::geometry::Camera;
+use crate::geometry::{Camera, NormalMap};
 use crate::radiometry::brdf::Measured;
 use crate::raytrace::Stack;
 use crate::representations::buckets::{PixelResult, render_in_buckets};
 use crate::representations::g_buffer::{GBufferPixel, GBufferTracer, ProxyGeometry, Seen};
 use crate::representations::page_source::{CountingReader, CountingSource};
-use crate::representations::{CpuKernel, FrameRequest, Pixels, Provenance, Recording, RenderError, Settings as AnySettings, TexelRequest};
+use crate::representations::{
+    CpuKernel, FrameRequest, Pixels, Provenance, Recording, RenderError, Settings as AnySettings, TexelRequest, Uploads,
+};
 use crate::textures::PageId;
 
 /// The field with its tree of triangles.
@@ -37,10 +39,11 @@ impl Reference {
     }
 
     /// What frames with these settings read beside cube maps.
-    pub fn asides(&self, settings: &Settings, table: Option<&Arc<Measured>>, pages: &CountingSource<'_>) -> Result<Asides, RenderError> {
+    pub fn asides(&self, settings: &Settings, uploads: &Uploads<'_>, pages: &CountingSource<'_>) -> Result<Asides, RenderError> {
         let make_tree = || Arc::new(ObjectTree::new(self.geometry.clone()));
         let tree = settings.needs_tree().then(|| self.tree.get_or_init(make_tree).clone());
-        Ok(Asides { lit: self.light.lit(&self.field, settings, pages)?, tree, table: table.cloned() })
+        let lit = self.light.lit(&self.field, settings, pages)?;
+        Ok(Asides { lit, tree, table: uploads.table.cloned(), normal_map: uploads.normal_map.cloned() })
     }
 
     /// What every pixel sees.
@@ -83,8 +86,9 @@ impl CpuKernel for Reference {
             return Err(RenderError::OtherKind { settings: request.settings.kind() });
         };
         settings.check_original(self.field.parameters.original)?;
+        settings.check_bumps()?;
         let touched = PagesTouched::new(self.field.page_count());
-        let asides = self.asides(settings, request.table, pages)?;
+        let asides = self.asides(settings, &request.uploads, pages)?;
         let start = || (Stack::new(), PagedCubes::new(&self.field, pages, &touched, asides.clone()));
         let mut frame = render_in_buckets(request, start, |(stack, cubes), i, j| {
             let pixel = self.tracer.pixel(request.camera, i, j, stack);
@@ -108,6 +112,8 @@ pub(super) struct Asides {
     pub tree: Option<Arc<ObjectTree>>,
     /// Where the surface reflects as a measured one.
     pub table: Option<Arc<Measured>>,
+    /// Where a map turns the surface's normals.
+    pub normal_map: Option<Arc<NormalMap>>,
 }
 
 /// Which pages a frame has read.
@@ -210,6 +216,10 @@ impl ReadCube for PagedCubes<'_> {
 
     fn table(&self) -> Option<Arc<Measured>> {
         self.asides.table.clone()
+    }
+
+    fn normal_map(&self) -> Option<Arc<NormalMap>> {
+        self.asides.normal_map.clone()
     }
 
     fn field(&self) -> &OffsetSurfaceLightField {

@@ -23,7 +23,7 @@ pub(super) fn record_requests(
     let AnySettings::OffsetSurfaceLightField(settings) = recording.settings else {
         return Err(RenderError::OtherKind { settings: recording.settings.kind() });
     };
-    if settings.light.changes_light() || settings.needs_tree() {
+    if settings.light.changes_light() || settings.needs_tree() || settings.bumps.is_some() {
         return Err(RenderError::ReadsMore);
     }
     settings.check_original(field.parameters.original)?;

@@ -8,6 +8,7 @@ use std::sync::Arc;
 
 use glam::Vec3;
 
+use super::bumps::reflecting_at;
 use super::corrected::{InverseDistances, corrected, sees};
 use super::gloss::glossy;
 use super::object_tree::ObjectTree;
@@ -16,7 +17,7 @@ use super::refraction::refraction;
 use super::relight::{Lit, relit};
 use super::{Blend, Component, Filter, NO_SAMPLE, OWN_EXPONENT, OffsetSurfaceLightField, RUNTIME_HORIZON_DEG, Settings};
 use crate::directions::{DirectionDifferential, PyramidLevel};
-use crate::geometry::Camera;
+use crate::geometry::{Camera, NormalMap};
 use crate::radiometry::brdf::Measured;
 use crate::representations::g_buffer::{GBufferPixel, Seen};
 use crate::representations::provenance::{Answer, Provenance};
@@ -42,6 +43,11 @@ pub(super) trait ReadCube {
 
     /// The measured BRDF of glossy frames.
     fn table(&self) -> Option<Arc<Measured>> {
+        None
+    }
+
+    /// What turns the surface's normals.
+    fn normal_map(&self) -> Option<Arc<NormalMap>> {
         None
     }
 
@@ -125,18 +131,19 @@ pub(super) fn shade_from(
     cubes: &mut dyn ReadCube,
 ) -> Result<Shaded, RenderError> {
     let (at, by) = sight(settings.filter, camera, (i, j), pixel);
+    let reflecting = reflecting_at(settings, &at, &by, pixel, cubes)?;
     Ok(match settings.component {
         Component::Reconstruction => reconstruct(field, settings, &at, &by, candidates, cubes)?,
-        Component::Mirror => mirror(field, settings, &at, &by, candidates, cubes)?,
+        Component::Mirror => mirror(field, settings, &at, &by, &reflecting.mirrored, candidates, cubes)?,
         Component::Full => {
             let own = reconstruct(field, settings, &at, &by, candidates, cubes)?;
-            let reflected = mirror(field, settings, &at, &by, candidates, cubes)?;
+            let reflected = mirror(field, settings, &at, &by, &reflecting.mirrored, candidates, cubes)?;
             Shaded { radiance: own.radiance + reflected.radiance, provenance: worse(own.provenance, reflected.provenance) }
         }
         Component::Refraction(dielectric) => refraction(field, settings, &dielectric, &at, &by, candidates, cubes)?,
         Component::Glossy(gloss) => {
             let tangent = Vec3::from_slice(&pixel.tangent);
-            glossy(field, settings, &gloss, &at, &by, tangent, candidates, cubes)?
+            glossy(field, settings, &gloss, &at, &by, (&reflecting, tangent), candidates, cubes)?
         }
     })
 }
@@ -280,19 +287,20 @@ pub(super) fn neighbour(at: &Sight, by: &Sight) -> Sight {
 
 pub(super) const NOTHING: Shaded = Shaded { radiance: Vec3::ZERO, provenance: Provenance::UNKNOWN };
 
-/// What the mirror shows, one reflection or several of them: `C_s Σⱼ βⱼ Lᵢ(pⱼ; r)` is one.
+/// What the mirror shows, one reflection, toward `r`, or several of them: `C_s Σⱼ βⱼ Lᵢ(pⱼ; r)` is one.
 pub(super) fn mirror(
     field: &OffsetSurfaceLightField,
     settings: &Settings,
     at: &Sight,
     by: &[Sight; 2],
+    r: &DirectionDifferential,
     candidates: [u16; 4],
     cubes: &mut dyn ReadCube,
 ) -> Result<Shaded, RenderError> {
     if settings.sees_itself() {
         return reflections(field, settings, at, by, candidates, cubes);
     }
-    radiance_toward(field, settings, at, by, &mirrored(at, by), candidates, cubes)
+    radiance_toward(field, settings, at, by, r, candidates, cubes)
 }
 
 /// `C_s Σⱼ βⱼ Lᵢ(pⱼ; r)` for any direction `r` (unit).

@@ -1,5 +1,6 @@
 //! What must hold of frames of this kind on the CPU. `tests/gpu_equals_cpu.rs` carries it over to the GPU.
 
+mod bumps;
 mod corrected;
 mod filter;
 pub(crate) mod fixture;
@@ -25,7 +26,7 @@ use super::{Blend, Component, Filter, NO_SAMPLE, OffsetSurfaceLightField, Settin
 use crate::geometry::{Camera, Intrinsics, Pose};
 use crate::images::{Tolerance, count_beyond, elements_agree};
 use crate::render::{Backend, Frame, FrameRequest, Outputs, RenderError, Renderer};
-use crate::representations::{Answer, Refine, Settings as AnySettings};
+use crate::representations::{Answer, Refine, Settings as AnySettings, Uploads};
 use crate::scenes::Relighting;
 use crate::testdata::golden::assert_golden;
 use crate::textures::{PixelFormat, StoreError};
@@ -54,6 +55,7 @@ pub(crate) fn settings(component: Component, blend: Blend) -> Settings {
         filter: Filter::Bilinear,
         light: Relighting::NONE,
         reflections: 1,
+        bumps: None,
     }
 }
 
@@ -65,6 +67,7 @@ fn mirror(blend: Blend) -> Settings {
         filter: Filter::Bilinear,
         light: Relighting::NONE,
         reflections: 1,
+        bumps: None,
     }
 }
 
@@ -77,12 +80,13 @@ fn reconstruction() -> Settings {
         filter: Filter::Bilinear,
         light: Relighting::NONE,
         reflections: 1,
+        bumps: None,
     }
 }
 
 fn frame_of(field: OffsetSurfaceLightField, pages: &MemoryPages, camera: &Camera, settings: Settings) -> Result<Frame, RenderError> {
     let settings = AnySettings::OffsetSurfaceLightField(settings);
-    let request = FrameRequest { camera, settings: &settings, outputs: EVERYTHING, refine: Refine::Whole, table: None };
+    let request = FrameRequest { camera, settings: &settings, outputs: EVERYTHING, refine: Refine::Whole, uploads: Uploads::NONE };
     let field: Arc<dyn crate::representations::Representation> = Arc::new(field);
     Renderer::cpu_only().render(&field, pages, &request, Some(Backend::Cpu))
 }

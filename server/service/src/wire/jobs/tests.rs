@@ -75,6 +75,13 @@ fn thinning_out_of_range_is_refused_by_field() {
     assert!(refused(|t| t.metric = 7).starts_with("t.metric: 7"));
     assert!(refused(|t| t.windows = 5).starts_with("t.windows: 5"));
     assert!(refused(|t| t.codec = 9).starts_with("t.codec: 9"));
+    let with_map = |t: &mut proto::ThinSpec| {
+        let map = proto::offset_surface_light_field_settings::NormalMap { image: "ab".repeat(32), strength: None, repeat: None };
+        let settings = t.settings.as_mut().and_then(|s| s.representation.as_mut());
+        let Some(proto::render_settings::Representation::OffsetSurfaceLightField(field)) = settings else { unreachable!("made above") };
+        field.normal_map = Some(map);
+    };
+    assert!(refused(with_map).starts_with("t.settings.normal_map: a normal map, none expected"));
 }
 
 #[test]

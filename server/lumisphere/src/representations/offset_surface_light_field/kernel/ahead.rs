@@ -18,13 +18,18 @@ use crate::textures::{Page, PageId};
 impl Kernel {
     /// Pages that a frame like `request` would miss, at most `upload_bytes` of texels and no more than there are slots that neither the last
     /// frame nor this one wants. Looks at the object alone, whatever stands before it, and at large frames with fewer pixels. None before
-    /// the first frame, and of clear bodies, other light or a measured BRDF before the first of those.
+    /// the first frame, and of clear bodies, other light, a measured BRDF or a normal map before the first of those.
     pub(super) fn pages_ahead(&mut self, request: &FrameRequest<'_>, upload_bytes: u64) -> Result<Vec<PageId>, RenderError> {
         let AnySettings::OffsetSurfaceLightField(settings) = request.settings else {
             return Err(RenderError::OtherKind { settings: request.settings.kind() });
         };
         let has_tree = !settings.needs_tree() || self.tree.is_made();
-        if self.atlas.is_none() || !has_tree || !self.is_light_made(settings) || !self.is_table_there(settings) {
+        if self.atlas.is_none()
+            || !has_tree
+            || !self.is_light_made(settings)
+            || !self.is_table_there(settings)
+            || !self.is_normal_map_there(settings)
+        {
             return Ok(Vec::new());
         }
         let scale = scale(request.camera, settings, self.gpu.device().limits().max_texture_dimension_2d);

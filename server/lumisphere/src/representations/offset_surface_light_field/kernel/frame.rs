@@ -98,11 +98,13 @@ impl Kernel {
             return Err(RenderError::OtherKind { settings: request.settings.kind() });
         };
         settings.check_original(self.field.parameters.original)?;
+        settings.check_bumps()?;
         let bands = frame_output::bands(&self.gpu, request.camera)?;
         self.check_directions(settings)?;
         self.ensure_light(settings, pages)?;
         self.ensure_tree(settings, pages)?;
         self.ensure_table(request, settings, pages)?;
+        self.ensure_normal_map(request, settings, pages)?;
         // Four sample points each time that a mirror is met.
         let pages_of_a_pixel = 4 * settings.reflections as usize * FACES;
         if settings.sees_itself() && pages_of_a_pixel > PAGES_OF_A_PIXEL {
@@ -255,6 +257,9 @@ impl Kernel {
             refraction_index: refraction.map_or(1.0, |dielectric| dielectric.index()),
             first_packet: self.tree.first_packet(),
             reflections: settings.reflections,
+            normal_map_size: self.normal_map.size(),
+            normal_strength: settings.bumps.map_or(0.0, |bumps| bumps.mapping.strength),
+            normal_repeat: settings.bumps.map_or(1.0, |bumps| bumps.mapping.repeat),
         };
         self.gpu.queue().write_buffer(&self.shading, 0, bytemuck::bytes_of(&uniform));
         let (band, atlas) = (self.band.as_ref().expect("made before"), self.atlas.as_ref().expect("made before"));

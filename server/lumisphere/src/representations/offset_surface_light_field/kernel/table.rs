@@ -58,7 +58,7 @@ impl Kernel {
         let wanted = gloss(settings.component).and_then(|gloss| gloss.brdf.table());
         let Some(hash) = wanted.filter(|_| !self.is_table_there(settings)) else { return Ok(()) };
         self.gpu.settle();
-        let measured = request.table.ok_or(RenderError::NoTable { table: hash })?;
+        let measured = request.uploads.table.ok_or(RenderError::NoTable { table: hash })?;
         let is_first = self.table.held.is_none();
         if is_first {
             self.check_room("a measured BRDF", bytes_of_table(FORMAT, Measured::TEXELS as u64), pages)?;

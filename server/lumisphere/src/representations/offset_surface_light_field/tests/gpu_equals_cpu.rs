@@ -7,11 +7,12 @@ use glam::{Vec2, Vec3};
 
 use super::super::kernel::{Kernel, LightUniform, PointLightUniform, ShadingUniform};
 use super::super::reference::{PagedCubes, PagesTouched, Reference};
+use super::bumps::{bumped, components, hills};
 use super::corrected::{NEAR, with_liars};
 use super::fixture::{MemoryPages, WORLD, World, starve};
 use super::reflections::facing_itself;
 use super::{BLENDS, EVERYTHING, odd_cameras, settings};
-use crate::geometry::Camera;
+use crate::geometry::{Camera, Mapping, NormalMap};
 use crate::gpu::layout_check::assert_same_layout;
 use crate::gpu::{GpuError, test_gpu};
 use crate::images::{Tolerance, count_beyond, elements_agree};
@@ -21,11 +22,11 @@ use crate::radiometry::dielectric::{Body, Dielectric};
 use crate::render::{Backend, RenderError, Renderer};
 use crate::representations::g_buffer::{GBufferPixel, Seen};
 use crate::representations::offset_surface_light_field::{
-    Blend, Component, Filter, Gloss, GlossBrdf, Integration, OffsetSurfaceLightField, Order, Settings,
+    Blend, Bumps, Component, Filter, Gloss, GlossBrdf, Integration, OffsetSurfaceLightField, Order, Settings,
 };
 use crate::representations::{
     Answer, CountingSource, CpuKernel, FrameRequest, GpuFrameStats, GpuKernel, Original, Outputs, Pixels, Provenance, Refine,
-    RenderError as Error, Representation, Settings as AnySettings,
+    RenderError as Error, Representation, Settings as AnySettings, Uploads,
 };
 use crate::scenes::{PointLight, Relighting};
 use crate::textures::{ContentHash, PixelFormat};
@@ -39,6 +40,7 @@ struct Twins {
     field: Arc<OffsetSurfaceLightField>,
     pages: MemoryPages,
     table: Option<Arc<Measured>>,
+    normal_map: Option<Arc<NormalMap>>,
 }
 
 impl Twins {
@@ -47,20 +49,25 @@ impl Twins {
         let gpu = test_gpu()?;
         let field = Arc::new(field);
         let kernel = Kernel::new(gpu, field.clone(), budget_bytes).unwrap();
-        Some(Self { kernel, reference: Reference::new(field.clone()), field, pages, table: None })
+        Some(Self { kernel, reference: Reference::new(field.clone()), field, pages, table: None, normal_map: None })
     }
 
     fn on_gpu(&mut self, camera: &Camera, settings: Settings) -> Result<(Pixels, GpuFrameStats), Error> {
         let settings = AnySettings::OffsetSurfaceLightField(settings);
-        let request = FrameRequest { camera, settings: &settings, outputs: EVERYTHING, refine: Refine::Whole, table: self.table.as_ref() };
+        let uploads = Uploads { table: self.table.as_ref(), normal_map: self.normal_map.as_ref() };
+        let request = FrameRequest { camera, settings: &settings, outputs: EVERYTHING, refine: Refine::Whole, uploads };
         self.kernel.render(&request, &CountingSource::new(&self.pages))
+    }
+
+    fn uploads(&self) -> Uploads<'_> {
+        Uploads { table: self.table.as_ref(), normal_map: self.normal_map.as_ref() }
     }
 
     // The reference's shading of a G-buffer, whoever made it.
     fn shaded(&self, camera: &Camera, settings: Settings, g_buffer: &[GBufferPixel]) -> (Vec<f32>, Vec<Provenance>) {
         let source = CountingSource::new(&self.pages);
         let touched = PagesTouched::new(self.field.page_count());
-        let asides = self.reference.asides(&settings, self.table.as_ref(), &source).unwrap();
+        let asides = self.reference.asides(&settings, &self.uploads(), &source).unwrap();
         let mut cubes = PagedCubes::new(&self.field, &source, &touched, asides);
         let width = camera.intrinsics().width_px;
         let mut pixels = (Vec::new(), Vec::new());
@@ -359,7 +366,8 @@ fn reconstructions_agree_of_what_was_captured_as_authored() {
         for refused in [other_light, settings(Component::Full, Blend::Average)] {
             assert!(matches!(twins.on_gpu(&camera, refused), Err(Error::AsAuthored)), "{refused:?}");
             let any = AnySettings::OffsetSurfaceLightField(refused);
-            let request = FrameRequest { camera: &camera, settings: &any, outputs: EVERYTHING, refine: Refine::Whole, table: None };
+            let request =
+                FrameRequest { camera: &camera, settings: &any, outputs: EVERYTHING, refine: Refine::Whole, uploads: Uploads::NONE };
             let on_cpu = twins.reference.render(&request, &CountingSource::new(&twins.pages));
             assert!(matches!(on_cpu, Err(Error::AsAuthored)), "{refused:?}");
         }
@@ -441,7 +449,7 @@ fn frames_of_several_bands_have_no_seam() {
     assert_eq!(pixels.color.len(), 3 * 1024 * 700);
     let field: Arc<dyn Representation> = twins.field.clone();
     let any = AnySettings::OffsetSurfaceLightField(settings);
-    let request = FrameRequest { camera: &camera, settings: &any, outputs: EVERYTHING, refine: Refine::Whole, table: None };
+    let request = FrameRequest { camera: &camera, settings: &any, outputs: EVERYTHING, refine: Refine::Whole, uploads: Uploads::NONE };
     let cpu = Renderer::cpu_only().render(&field, &twins.pages, &request, None).unwrap().pixels;
     // Silhouettes and ties alone differ: some hundreds of 716 800 pixels.
     let report = count_beyond(&cpu.color, &pixels.color, &Tolerance::F32_LOOKUP).unwrap();
@@ -476,7 +484,7 @@ fn a_frame_that_cannot_be_drawn_falls_back_to_the_cpu_and_says_why() {
         settings: &any,
         outputs: Outputs { depth: false, provenance: false },
         refine: Refine::Whole,
-        table: None,
+        uploads: Uploads::NONE,
     };
     let small = Renderer::with_gpu(1 << 20).unwrap();
     assert_eq!(small.default_backend(), Backend::Gpu);
@@ -507,7 +515,7 @@ fn a_frame_of_many_directions_is_not_drawn_in_software() {
     ] {
         let any = AnySettings::OffsetSurfaceLightField(settings(Component::Glossy(Gloss::of(brdf, directions)), blend));
         let outputs = Outputs { depth: false, provenance: false };
-        let request = FrameRequest { camera: &camera, settings: &any, outputs, refine: Refine::Whole, table: None };
+        let request = FrameRequest { camera: &camera, settings: &any, outputs, refine: Refine::Whole, uploads: Uploads::NONE };
         let drawn = kernel.render(&request, &CountingSource::new(&pages));
         assert_eq!(drawn.is_ok(), is_drawn, "{blend:?} {directions}");
         if let Err(error) = drawn {
@@ -539,7 +547,8 @@ fn no_camera_makes_a_nan_leave_the_gpu() {
     for (number, camera) in odd_cameras(&WORLD).into_iter().enumerate() {
         for blend in BLENDS {
             let any = AnySettings::OffsetSurfaceLightField(settings(Component::Full, blend));
-            let request = FrameRequest { camera: &camera, settings: &any, outputs: EVERYTHING, refine: Refine::Whole, table: None };
+            let request =
+                FrameRequest { camera: &camera, settings: &any, outputs: EVERYTHING, refine: Refine::Whole, uploads: Uploads::NONE };
             let frame = renderer.render(&field, &pages, &request, None).unwrap();
             // The last two have focal lengths that no rasteriser stands; the CPU takes them.
             let expected = if number < 6 { Backend::Gpu } else { Backend::Cpu };
@@ -557,6 +566,59 @@ fn a_missing_page_is_an_error_that_names_it() {
     let camera = WORLD.camera(Vec3::new(1.2, 0.9, 2.4), Vec3::ZERO, WIDTH, HEIGHT);
     let outcome = twins.on_gpu(&camera, settings(Component::Mirror, Blend::Average));
     assert!(matches!(outcome, Err(RenderError::Store(_))), "{outcome:?}");
+}
+
+#[test]
+fn frames_with_a_normal_map_agree() {
+    let Some(mut twins) = Twins::new(WORLD.build(), BUDGET) else { return };
+    twins.normal_map = Some(Arc::new(hills(0.6)));
+    let camera = WORLD.camera(Vec3::new(1.2, 0.9, 2.4), Vec3::new(0.1, -0.1, 0.0), WIDTH, HEIGHT);
+    for (component, filter) in components().into_iter().flat_map(|c| [Filter::Footprint, Filter::Bilinear].map(|f| (c, f))) {
+        // One look is over what a filter reads.
+        if filter == Filter::Bilinear && settings(component, Blend::Average).is_prefiltered() {
+            continue;
+        }
+        for blend in [Blend::Normal { exponent: 4.0 }, Blend::Corrected] {
+            let settings = bumped(Settings { filter, ..settings(component, blend) }, -1.5, 2.5);
+            let (pixels, _) = twins.on_gpu(&camera, settings).unwrap();
+            let g_buffer = twins.kernel.read_g_buffer();
+            let (color, provenance) = twins.shaded(&camera, settings, &g_buffer);
+            let theirs = (pixels.color.as_slice(), pixels.provenance.as_deref().unwrap());
+            // Where a ray just leaves, or just enters, rounding decides.
+            let agreed = agree_but_for(theirs, (&color, &provenance), &Tolerance::F32_LOOKUP, TIES);
+            agreed.unwrap_or_else(|e| panic!("{component:?} {filter:?} {blend:?}: {e}"));
+        }
+    }
+    // Another map in its place, of another size, and none.
+    twins.normal_map = Some(Arc::new(NormalMap::new(1, 2, [Vec2::X, Vec2::Y]).unwrap()));
+    let other = Settings {
+        bumps: Some(Bumps { map: ContentHash([4; 32]), mapping: Mapping { strength: 0.2, repeat: 1.0 } }),
+        ..settings(Component::Mirror, Blend::Average)
+    };
+    let (pixels, _) = twins.on_gpu(&camera, other).unwrap();
+    let (color, provenance) = twins.shaded(&camera, other, &twins.kernel.read_g_buffer());
+    let theirs = (pixels.color.as_slice(), pixels.provenance.as_deref().unwrap());
+    agree_but_for(theirs, (&color, &provenance), &Tolerance::F32_LOOKUP, TIES).unwrap();
+}
+
+#[test]
+fn a_flat_normal_map_is_none_on_the_device_too_and_counts_in_its_budget() {
+    let Some(mut twins) = Twins::new(WORLD.build(), BUDGET) else { return };
+    let camera = WORLD.camera(Vec3::new(1.2, 0.9, 2.4), Vec3::ZERO, WIDTH, HEIGHT);
+    let settings = Settings { filter: Filter::Footprint, ..settings(Component::Mirror, Blend::Corrected) };
+    let (without, _) = twins.on_gpu(&camera, settings).unwrap();
+    let before = twins.kernel.bytes();
+    twins.normal_map = Some(Arc::new(NormalMap::new(512, 512, vec![Vec2::ZERO; 512 * 512]).unwrap()));
+    let (with, _) = twins.on_gpu(&camera, bumped(settings, 1.0, 1.0)).unwrap();
+    elements_agree(&with.color, &without.color, &Tolerance::F32_LOOKUP).unwrap();
+    // Four bytes a texel in place of one texel of sixteen.
+    assert_eq!(twins.kernel.bytes() - before, 4 * 512 * 512 - 16);
+    // A larger one than there is room for is refused, and the device goes on without.
+    twins.normal_map = Some(Arc::new(NormalMap::new(4096, 4096, vec![Vec2::ZERO; 4096 * 4096]).unwrap()));
+    twins.kernel.set_slots(100);
+    let refused = twins.on_gpu(&camera, bumped(settings, 1.0, 1.0)).unwrap_err();
+    assert!(refused.to_string().contains("a normal map"), "{refused}");
+    assert_eq!(twins.on_gpu(&camera, settings).unwrap().0.color, without.color);
 }
 
 #[test]
@@ -593,7 +655,10 @@ fn the_uniform_lies_in_memory_as_wgsl_has_it() {
             first_direction,
             refraction_index,
             first_packet,
-            reflections
+            reflections,
+            normal_map_size,
+            normal_strength,
+            normal_repeat
         }
     );
     assert_same_layout!(

@@ -19,7 +19,7 @@ use crate::render::{Backend, Renderer};
 use crate::representations::offset_surface_light_field::{Blend, Component, Filter, OffsetSurfaceLightField, Settings};
 use crate::representations::{
     CachedPages, CountingSource, FrameRequest, GpuFrameStats, GpuKernel, PageSource, Pixels, Refine, RenderError, Representation,
-    Settings as AnySettings, UploadUnit,
+    Settings as AnySettings, UploadUnit, Uploads,
 };
 use crate::scenes::Relighting;
 use crate::textures::{Cache, CacheOptions, Page, PageId, PolicyKind};
@@ -56,7 +56,7 @@ impl Scene {
 
     fn draw(&mut self, camera: &Camera, refine: Refine) -> Result<(Pixels, GpuFrameStats), RenderError> {
         let settings = self.settings();
-        let request = FrameRequest { camera, settings: &settings, outputs: EVERYTHING, refine, table: None };
+        let request = FrameRequest { camera, settings: &settings, outputs: EVERYTHING, refine, uploads: Uploads::NONE };
         let drawn = self.kernel.render(&request, &CountingSource::new(self.pages.as_ref()))?;
         let stats = self.kernel.stats();
         assert_eq!(stats.look_ups, stats.hits + stats.misses);
@@ -71,7 +71,7 @@ impl Scene {
 
     fn missed_ahead(&mut self, camera: &Camera, upload_bytes: u64) -> Vec<(PageId, Arc<Page>)> {
         let settings = self.settings();
-        let request = FrameRequest { camera, settings: &settings, outputs: EVERYTHING, refine: Refine::Whole, table: None };
+        let request = FrameRequest { camera, settings: &settings, outputs: EVERYTHING, refine: Refine::Whole, uploads: Uploads::NONE };
         let ahead = self.kernel.look_ahead(&request, upload_bytes).unwrap();
         ahead.into_iter().map(|page| (page, self.pages.page(page).unwrap().page)).collect()
     }
@@ -352,7 +352,7 @@ fn counters_of_versions_that_displace_each_other_make_those_of_the_tier() {
     // As large as what is drawn at once: it takes all that any frame takes beside its pages.
     let camera = &WORLD.camera(3.0 * Vec3::Z, Vec3::ZERO, 720, 720);
     let draw = |which: usize| {
-        let request = FrameRequest { camera, settings: &settings, outputs: EVERYTHING, refine: Refine::Whole, table: None };
+        let request = FrameRequest { camera, settings: &settings, outputs: EVERYTHING, refine: Refine::Whole, uploads: Uploads::NONE };
         let (field, pages) = &datasets[which];
         let frame = renderer.render(field, pages, &request, Some(Backend::Gpu)).unwrap();
         assert_eq!(frame.stats.backend, Backend::Gpu, "{:?}", frame.stats.fallback);
@@ -405,7 +405,7 @@ fn budget_and_policy_change_between_frames_and_the_picture_does_not() {
     let settings = AnySettings::OffsetSurfaceLightField(mirror(Blend::Distance));
     let camera = &orbit(&WORLD, 8)[0];
     let draw = || {
-        let request = FrameRequest { camera, settings: &settings, outputs: EVERYTHING, refine: Refine::Whole, table: None };
+        let request = FrameRequest { camera, settings: &settings, outputs: EVERYTHING, refine: Refine::Whole, uploads: Uploads::NONE };
         renderer.render(&field, &pages, &request, None).unwrap()
     };
     let first = draw();
@@ -456,7 +456,7 @@ fn tables_of_other_light_and_of_clear_bodies_leave_room_for_pages_or_are_not_mad
         let least = scene.kernel.budget();
         scene.kernel.set_slots(slots);
         let settings = AnySettings::OffsetSurfaceLightField(settings);
-        let request = FrameRequest { camera, settings: &settings, outputs: EVERYTHING, refine: Refine::Whole, table: None };
+        let request = FrameRequest { camera, settings: &settings, outputs: EVERYTHING, refine: Refine::Whole, uploads: Uploads::NONE };
         match scene.kernel.render(&request, &CountingSource::new(scene.pages.as_ref())) {
             Ok(_) => made += 1,
             Err(RenderError::Gpu(GpuError::OverBudget { what, needed_bytes, budget_bytes })) => {

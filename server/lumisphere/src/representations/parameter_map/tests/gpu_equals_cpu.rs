@@ -12,7 +12,7 @@ use super::fixture::{WORLD, World, every_kind};
 use crate::gpu::layout_check::assert_same_layout;
 use crate::gpu::{GpuError, test_gpu};
 use crate::images::{Tolerance, count_beyond};
-use crate::representations::{CountingSource, FrameRequest, GpuKernel, Refine, RenderError, Settings as AnySettings};
+use crate::representations::{CountingSource, FrameRequest, GpuKernel, Refine, RenderError, Settings as AnySettings, Uploads};
 use crate::textures::PixelFormat;
 
 const BUDGET: u64 = 256 << 20;
@@ -50,8 +50,13 @@ fn every_model_looks_the_same_on_both() {
             let camera = world.camera(position, Vec3::ZERO, 80, 60);
             for show in [Show::Radiance, Show::Models, Show::Flags] {
                 let settings = AnySettings::ParameterMap(Settings { show });
-                let request =
-                    FrameRequest { camera: &camera, settings: &settings, outputs: EVERYTHING, refine: Refine::Whole, table: None };
+                let request = FrameRequest {
+                    camera: &camera,
+                    settings: &settings,
+                    outputs: EVERYTHING,
+                    refine: Refine::Whole,
+                    uploads: Uploads::NONE,
+                };
                 let source = CountingSource::new(&pages);
                 let (pixels, _) = kernel.render(&request, &source).unwrap();
                 let touched = PagedQuads::untouched(&map);
@@ -86,7 +91,7 @@ fn a_map_beyond_the_budget_is_refused_and_a_smaller_budget_forgets_it() {
     let mut kernel = Kernel::new(gpu, map, BUDGET).unwrap();
     let camera = WORLD.camera(Vec3::new(0.3, 1.6, 1.4), Vec3::ZERO, 80, 60);
     let settings = AnySettings::ParameterMap(Settings::default());
-    let request = FrameRequest { camera: &camera, settings: &settings, outputs: EVERYTHING, refine: Refine::Whole, table: None };
+    let request = FrameRequest { camera: &camera, settings: &settings, outputs: EVERYTHING, refine: Refine::Whole, uploads: Uploads::NONE };
     let source = CountingSource::new(&pages);
     let (first, stats) = kernel.render(&request, &source).unwrap();
     assert_eq!((stats.pages_uploaded, kernel.stats().misses, kernel.stats().hits), (1, 1, 0));

@@ -21,7 +21,7 @@ use crate::fitting::{Lobe, Model};
 use crate::geometry::Camera;
 use crate::images::{Tolerance, count_beyond};
 use crate::render::{Backend, Frame, FrameRequest, Outputs, Renderer};
-use crate::representations::{Answer, MemoryPages, Refine, RenderError, Representation, Settings as AnySettings};
+use crate::representations::{Answer, MemoryPages, Refine, RenderError, Representation, Settings as AnySettings, Uploads};
 use crate::testdata::golden::assert_golden;
 use crate::textures::PixelFormat;
 use fixture::{WORLD, World, every_kind};
@@ -31,7 +31,7 @@ const EVERYTHING: Outputs = Outputs { depth: true, provenance: true };
 fn frame_of((map, pages): (ParameterMap, MemoryPages), camera: &Camera, show: Show) -> Result<Frame, RenderError> {
     let settings = AnySettings::ParameterMap(Settings { show });
     let map: Arc<dyn Representation> = Arc::new(map);
-    let request = FrameRequest { camera, settings: &settings, outputs: EVERYTHING, refine: Refine::Whole, table: None };
+    let request = FrameRequest { camera, settings: &settings, outputs: EVERYTHING, refine: Refine::Whole, uploads: Uploads::NONE };
     Renderer::cpu_only().render(&map, &pages, &request, Some(Backend::Cpu))
 }
 
