@@ -137,7 +137,7 @@ impl Tables {
     }
 }
 
-trait Real: Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> {
+pub(super) trait Real: Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> {
     const ZERO: Self;
     const ONE: Self;
 }
@@ -155,20 +155,16 @@ impl Real for f64 {
 /// Factors of the recurrences. With p(l, m) = √2 K P / sinᵐθ (K P for m = 0):
 /// p(m, m) = `first[m]`, p(l, m) = `rise[l][m]` · z · p(l−1, m) − `fall[l][m]` · p(l−2, m).
 #[derive(Debug, Clone, PartialEq)]
-struct Table<T> {
-    first: [T; MOST_BANDS],
-    rise: [[T; MOST_BANDS]; MOST_BANDS],
-    fall: [[T; MOST_BANDS]; MOST_BANDS],
+pub(super) struct Table<T> {
+    pub(super) first: [T; MOST_BANDS],
+    pub(super) rise: [[T; MOST_BANDS]; MOST_BANDS],
+    pub(super) fall: [[T; MOST_BANDS]; MOST_BANDS],
 }
 
-/// What the recurrences of the GPU's twin (`parameter_map/kernel.wgsl`) read: rise and fall of (l, m) at `10 l + m`, then the first of each m
-/// at `100 + m`, for the spherical basis; the hemispherical one's are √2 times these.
+/// Of the spherical functions; the hemispherical ones' are √2 times the first and the same otherwise.
 #[cfg(feature = "gpu")]
-pub(crate) fn harmonic_recurrence() -> Vec<[f32; 2]> {
-    let table = &Tables::of(HarmonicBasis::Spherical).single;
-    let factors =
-        (0..MOST_BANDS * MOST_BANDS).map(|at| (at / MOST_BANDS, at % MOST_BANDS)).map(|(l, m)| [table.rise[l][m], table.fall[l][m]]);
-    factors.chain(table.first.map(|first| [first, 0.0])).collect()
+pub(super) fn spherical_factors() -> &'static Table<f32> {
+    &Tables::of(HarmonicBasis::Spherical).single
 }
 
 impl Table<f64> {

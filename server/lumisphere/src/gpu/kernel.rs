@@ -1,5 +1,7 @@
 //! From WGSL to pipelines, and from slices to buffers.
 
+use std::borrow::Cow;
+
 use wgpu::util::DeviceExt;
 
 use super::Gpu;
@@ -15,7 +17,7 @@ pub(crate) struct Shader {
 
 impl Shader {
     /// `groups[g]` describes bind group g.
-    pub fn new(gpu: &Gpu, label: &'static str, source: &'static str, groups: &[&[wgpu::BindGroupLayoutEntry]]) -> Self {
+    pub fn new(gpu: &Gpu, label: &'static str, source: impl Into<Cow<'static, str>>, groups: &[&[wgpu::BindGroupLayoutEntry]]) -> Self {
         let device = gpu.device();
         let description = wgpu::ShaderModuleDescriptor { label: Some(label), source: wgpu::ShaderSource::Wgsl(source.into()) };
         let module = device.create_shader_module(description);

@@ -48,7 +48,7 @@ fn wgsl_files(folder: &Path, found: &mut Vec<(String, String)>) {
 fn every_wgsl_file_is_part_of_a_valid_source() {
     // The BRDFs are no source of their own: kernels include them, and so does their test.
     let brdfs = crate::radiometry::brdf::gpu_equals_cpu_tests::SOURCE;
-    let sources = [crate::representations::wgsl_sources(), &[brdfs, crate::fitting::LOBE_KERNEL_SOURCE]].concat();
+    let sources = [crate::representations::wgsl_sources(), vec![brdfs.into(), crate::fitting::LOBE_KERNEL_SOURCE.into()]].concat();
     for source in &sources {
         validated(source);
     }

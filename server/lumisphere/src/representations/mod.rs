@@ -517,6 +517,7 @@ pub enum RenderError {
 
 /// Every whole WGSL source of this room, for the test that validates them.
 #[cfg(all(test, feature = "gpu"))]
-pub(crate) fn wgsl_sources() -> &'static [&'static str] {
-    &[g_buffer::VISIBILITY_SOURCE, g_buffer::G_BUFFER_SOURCE, g_buffer::RESOLVE_SOURCE, oslf::KERNEL_SOURCE, parameter_map::KERNEL_SOURCE]
+pub(crate) fn wgsl_sources() -> Vec<String> {
+    let fixed = [g_buffer::VISIBILITY_SOURCE, g_buffer::G_BUFFER_SOURCE, g_buffer::RESOLVE_SOURCE, oslf::KERNEL_SOURCE];
+    fixed.map(String::from).into_iter().chain((0..=crate::directions::MOST_BANDS).map(parameter_map::kernel_source)).collect()
 }

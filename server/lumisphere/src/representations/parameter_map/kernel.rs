@@ -8,23 +8,29 @@ use std::time::Instant;
 
 use bytemuck::{Pod, Zeroable};
 
-use super::{ModelCode, ParameterMap, QUADS_PER_PAGE, Show};
-use crate::directions::harmonic_recurrence;
-use crate::gpu::{Gpu, GpuCacheStats, GpuError, Shader, binding, empty_table, table, table_bytes, value_buffer, write_table};
+use super::device_tables::DeviceTables;
+use super::{ModelCode, ParameterMap, Show};
+use crate::directions::harmonics_wgsl;
+use crate::fitting::Basis;
+use crate::gpu::{Gpu, GpuCacheStats, GpuError, Shader, binding, value_buffer};
 use crate::representations::frame_output::{BAND_BYTES, BYTES_PER_PIXEL, BoundBand, FrameOutput, MAX_BAND_PIXELS, bands};
 use crate::representations::g_buffer::{ProxyGeometry, Rasterizer, band_entries, object_entries};
 use crate::representations::page_source::CountingSource;
 use crate::representations::{FrameRequest, GpuFrameStats, GpuKernel, PendingPixels, RenderError, Settings as AnySettings, UploadUnit};
 use crate::textures::{Page, PageId, PixelFormat, PolicyKind};
 
-/// All of `kernel.wgsl`'s source.
-pub(crate) const SOURCE: &str = concat!(
+const SOURCE: &str = concat!(
     include_str!("../g_buffer/camera.wgsl"),
     include_str!("../../gpu/table.wgsl"),
     include_str!("../g_buffer/band.wgsl"),
     include_str!("../g_buffer/object.wgsl"),
     include_str!("kernel.wgsl")
 );
+
+/// All of the kernel's source, for maps with harmonics of at most so many bands; 0 for none.
+pub(crate) fn source(bands: usize) -> String {
+    SOURCE.to_owned() + &harmonics_wgsl(bands)
+}
 
 /// Layout as WGSL's `Shading`.
 #[derive(Debug, Clone, Copy, Pod, Zeroable)]
@@ -43,8 +49,6 @@ pub(crate) struct Kernel {
     shader: Shader,
     pipeline: wgpu::ComputePipeline,
     shading: wgpu::Buffer,
-    texels: wgpu::Texture,
-    recurrence: wgpu::Texture,
     numbers: Option<Numbers>,
     band: Option<BoundBand>,
     stats: GpuCacheStats,
@@ -52,27 +56,31 @@ pub(crate) struct Kernel {
 
 /// All pages of the map.
 struct Numbers {
-    quads: wgpu::Texture,
+    tables: DeviceTables,
     resources: wgpu::BindGroup,
 }
 
 impl Kernel {
     pub fn new(gpu: Arc<Gpu>, map: Arc<ParameterMap>, budget_bytes: u64) -> Result<Self, GpuError> {
         let geometry = ProxyGeometry::new(&map.surface.mesh, &map.surface.part_of_triangle, &map.background);
-        let words: Vec<[u32; 2]> =
-            map.texels.texels.iter().map(|t| [t.first_quad, u32::from(t.code.number()) | u32::from(t.flags.bits()) << 8]).collect();
         let [triangles, vertices] = object_entries();
-        let entries = [triangles, vertices, binding::read_buffer(2), binding::uint_texture(3), binding::texture(4), binding::texture(5)];
-        let shader = Shader::new(&gpu, "parameter map", SOURCE, &[&band_entries(), &entries]);
+        let entries = [triangles, vertices, binding::read_buffer(2), binding::uint_texture(3), binding::uint_texture(4)];
         let codes = || map.texels.texels.iter().map(|t| t.code);
-        let (lobes, harmonics) = (codes().map(ModelCode::lobes).max().unwrap_or(0), codes().any(|c| c.bands().is_some()));
+        let lobes = codes().map(ModelCode::lobes).max().unwrap_or(0);
+        let bands = codes().filter_map(ModelCode::bands).max().unwrap_or(0);
+        let has = |basis| codes().any(|code| code.basis() == Some(basis));
+        let constants = [
+            ("LOBES", f64::from(lobes)),
+            ("HEMISPHERICAL", f64::from(u8::from(has(Basis::Hemispherical)))),
+            ("SPHERICAL", f64::from(u8::from(has(Basis::Spherical)))),
+            ("IS_WIDE", f64::from(u8::from(map.parameters.pixel_format == PixelFormat::F32))),
+        ];
+        let shader = Shader::new(&gpu, "parameter map", source(bands as usize), &[&band_entries(), &entries]);
         let kernel = Self {
             rasterizer: Rasterizer::new(&gpu, &geometry)?,
-            pipeline: shader.compute_pipeline(&gpu, "shade", &[("LOBES", f64::from(lobes)), ("HARMONICS", f64::from(u8::from(harmonics)))]),
+            pipeline: shader.compute_pipeline(&gpu, "shade", &constants),
             shader,
             shading: value_buffer::<ShadingUniform>(&gpu, "shading"),
-            texels: table(&gpu, "rows of the map's texels", wgpu::TextureFormat::Rg32Uint, &words)?,
-            recurrence: table(&gpu, "rows of the harmonics' recurrences", wgpu::TextureFormat::Rg32Float, &harmonic_recurrence())?,
             numbers: None,
             band: None,
             stats: GpuCacheStats::default(),
@@ -91,20 +99,8 @@ impl Kernel {
         self.rasterizer.read_g_buffer(&self.gpu, &self.band.as_ref().expect("a frame was rendered").band)
     }
 
-    fn number_bytes(&self) -> u64 {
-        self.quads() * 4 * self.map.parameters.pixel_format.bytes() as u64
-    }
-
-    fn quads(&self) -> u64 {
-        self.map.page_count() as u64 * u64::from(QUADS_PER_PAGE)
-    }
-
-    fn fixed_bytes(&self) -> u64 {
-        self.rasterizer.bytes() + table_bytes(&self.texels) + table_bytes(&self.recurrence)
-    }
-
     fn check_budget(&self) -> Result<(), GpuError> {
-        let (needed_bytes, budget_bytes) = (self.fixed_bytes() + self.number_bytes() + BAND_BYTES, self.budget_bytes);
+        let (needed_bytes, budget_bytes) = (self.rasterizer.bytes() + DeviceTables::bytes_of(&self.map) + BAND_BYTES, self.budget_bytes);
         match needed_bytes <= budget_bytes {
             true => Ok(()),
             false => Err(GpuError::OverBudget { what: "the parameter map", needed_bytes, budget_bytes }),
@@ -121,30 +117,22 @@ impl Kernel {
         // The frame before shall not wait for them.
         self.gpu.settle();
         self.check_budget()?;
-        let format = match self.map.parameters.pixel_format {
-            PixelFormat::F16 => wgpu::TextureFormat::Rgba16Float,
-            PixelFormat::F32 => wgpu::TextureFormat::Rgba32Float,
-        };
-        let quads = empty_table(&self.gpu, "rows of the models' numbers", format, self.quads())?;
-        self.gpu.check()?;
-        for page in 0..count as u32 {
-            let texels = pages.page(PageId(page))?;
-            self.map.check_page(page, texels.shape())?;
-            write_table(&self.gpu, &quads, u64::from(page) * u64::from(QUADS_PER_PAGE), texels.bytes());
-            // Writes wait in memory until they are submitted.
-            self.gpu.queue().submit([]);
-        }
-        let object = self.rasterizer.object_views();
+        let tables = DeviceTables::new(&self.gpu, &self.map, |number, packer| {
+            let page = pages.page(PageId(number))?;
+            self.map.check_page(number, page.shape())?;
+            packer.append(page.bytes());
+            Ok::<_, RenderError>(())
+        })?;
+        let (object, of_map) = (self.rasterizer.object_views(), tables.views());
         let [triangles, vertices] = object.each_ref().map(wgpu::BindingResource::TextureView);
-        let tables = [&self.texels, &quads, &self.recurrence].map(|t| t.create_view(&wgpu::TextureViewDescriptor::default()));
-        let [texels, numbers, recurrence] = tables.each_ref().map(wgpu::BindingResource::TextureView);
-        let resources = [triangles, vertices, self.shading.as_entire_binding(), texels, numbers, recurrence];
+        let [heads, pairs] = of_map.each_ref().map(wgpu::BindingResource::TextureView);
+        let resources = [triangles, vertices, self.shading.as_entire_binding(), heads, pairs];
         let resources = self.shader.bind(&self.gpu, 1, &resources);
-        self.numbers = Some(Numbers { quads, resources });
+        self.stats.bytes_uploaded += tables.bytes();
+        self.numbers = Some(Numbers { tables, resources });
         self.stats.look_ups += count;
         self.stats.misses += count;
         self.stats.uploads += count;
-        self.stats.bytes_uploaded += self.number_bytes();
         Ok(count as usize)
     }
 
@@ -236,11 +224,11 @@ impl GpuKernel for Kernel {
 
     fn bytes(&self) -> u64 {
         let band = self.band.as_ref().map_or(0, |b| u64::from(b.band.pixels().min(MAX_BAND_PIXELS)) * BYTES_PER_PIXEL);
-        self.fixed_bytes() + band + self.numbers.as_ref().map_or(0, |n| table_bytes(&n.quads))
+        self.rasterizer.bytes() + band + self.numbers.as_ref().map_or(0, |n| n.tables.bytes())
     }
 
     fn stats(&self) -> GpuCacheStats {
-        let (pages, bytes) = self.numbers.as_ref().map_or((0, 0), |n| (self.map.page_count() as u64, table_bytes(&n.quads)));
+        let (pages, bytes) = self.numbers.as_ref().map_or((0, 0), |n| (self.map.page_count() as u64, n.tables.bytes()));
         GpuCacheStats { resident_pages: pages, resident_bytes: bytes, device_bytes: self.bytes(), ..self.stats }
     }
 }

@@ -1,4 +1,4 @@
-// The GPU's twin of shade.rs and of packing.rs's reading half: the same functions by the same names. Runs over the list of the object's pixels.
+// The GPU's twin of shade.rs: the same functions by the same names. Runs over the list of the object's pixels.
 
 struct Shading {
     // Texels along the edge of a part.
@@ -7,24 +7,31 @@ struct Shading {
 }
 
 struct Texel {
-    first_quad: u32,
     // Model's number in the low byte, flags in the next.
     code: u32,
+    first_pair: u32,
+    constant: vec4<f32>,
+}
+
+// Of quads.
+struct Pair {
+    first: vec4<f32>,
+    second: vec4<f32>,
 }
 
 @group(1) @binding(0) var object_triangles: texture_2d<u32>;
 @group(1) @binding(1) var object_vertices: texture_2d<f32>;
 @group(1) @binding(2) var<storage, read> shading: Shading;
-// As `Texel`.
-@group(1) @binding(3) var texels: texture_2d<u32>;
-// All quads, one behind the other.
-@group(1) @binding(4) var quads: texture_2d<f32>;
-// Factors of the harmonics' recurrences: rise and fall of (l, m) at 10 l + m, then `first` of m at 100 + m.
-@group(1) @binding(5) var recurrence: texture_2d<f32>;
+// Elements of device_tables.rs: heads of the texels, and pairs.
+@group(1) @binding(3) var heads: texture_2d<u32>;
+@group(1) @binding(4) var pairs: texture_2d<u32>;
 
 // What the map's models have at most. Lanes of a processor pay for every branch, taken or not.
 override LOBES: u32 = 4u;
-override HARMONICS: bool = true;
+override HEMISPHERICAL: bool = true;
+override SPHERICAL: bool = true;
+// Whether numbers have four bytes.
+override IS_WIDE: bool = true;
 
 const RADIANCE: u32 = 0u;
 const MODELS: u32 = 1u;
@@ -46,17 +53,26 @@ fn provenance(answer: u32, sample_index: u32) -> u32 {
     return (answer << 30u) | min(sample_index, 0x3fffffffu);
 }
 
-fn quad(at: u32) -> vec4<f32> {
-    return textureLoad(quads, place_of(at), 0);
+fn halves(words: vec2<u32>) -> vec4<f32> {
+    return vec4(unpack2x16float(words.x), unpack2x16float(words.y));
+}
+
+fn pair(at: u32) -> Pair {
+    if IS_WIDE {
+        let first = textureLoad(pairs, place_of(2u * at), 0);
+        return Pair(bitcast<vec4<f32>>(first), bitcast<vec4<f32>>(textureLoad(pairs, place_of(2u * at + 1u), 0)));
+    }
+    let words = textureLoad(pairs, place_of(at), 0);
+    return Pair(halves(words.xy), halves(words.zw));
 }
 
 fn texel(at: u32) -> Texel {
-    let words = textureLoad(texels, place_of(at), 0);
-    return Texel(words.x, words.y);
-}
-
-fn recurrence_factors(at: u32) -> vec2<f32> {
-    return textureLoad(recurrence, vec2(at, 0u), 0).xy;
+    if IS_WIDE {
+        let words = textureLoad(heads, place_of(2u * at), 0);
+        return Texel(words.x, words.y, bitcast<vec4<f32>>(textureLoad(heads, place_of(2u * at + 1u), 0)));
+    }
+    let words = textureLoad(heads, place_of(at), 0);
+    return Texel(words.x, words.y, halves(words.zw));
 }
 
 // The unit direction of a point of the hemi-octahedral square.
@@ -72,95 +88,66 @@ fn power(x: f32, exponent: f32) -> f32 {
 }
 
 fn lobe(at: u32, d: vec3<f32>) -> vec3<f32> {
-    let amplitude = quad(at);
-    let place = quad(at + 1u);
-    let height = dot(axis(place.x + place.z, place.y + place.w), d);
-    return amplitude.xyz * power(height, exp(amplitude.w));
+    let numbers = pair(at);
+    let height = dot(axis(numbers.second.x + numbers.second.z, numbers.second.y + numbers.second.w), d);
+    return numbers.first.xyz * power(height, exp(numbers.first.w));
 }
 
-// Of the bands and basis of `known_code`, toward the direction that all texels of this pixel share.
-var<private> known_code: u32 = 0u;
-var<private> functions: array<f32, 100>;
-
-// Twin of directions/spherical_harmonics.rs.
-fn evaluate_functions(bands: u32, is_hemispherical: bool, d: vec3<f32>) {
-    var p = d;
-    var scale = 1.0;
+// Twin of directions/spherical_harmonics.rs. The functions, and the sum that reads them, are those of directions/harmonics_wgsl.rs.
+fn evaluate_basis(is_hemispherical: bool, d: vec3<f32>) {
     if is_hemispherical {
         let height = clamp(d.z, 0.0, 1.0);
         let squeeze = 2.0 * sqrt(height / (1.0 + height));
-        p = vec3(squeeze * d.xy, 2.0 * height - 1.0);
-        scale = sqrt(2.0);
-    }
-    var cosine = 1.0;
-    var sine = 0.0;
-    for (var m = 0u; m < bands; m++) {
-        var before = 0.0;
-        var legendre = scale * recurrence_factors(100u + m).x;
-        for (var l = m; l < bands; l++) {
-            if l > m {
-                let factors = recurrence_factors(10u * l + m);
-                let next = factors.x * p.z * legendre - factors.y * before;
-                before = legendre;
-                legendre = next;
-            }
-            let middle = l * (l + 1u);
-            functions[middle + m] = legendre * cosine;
-            if m > 0u {
-                functions[middle - m] = legendre * sine;
-            }
-        }
-        let turned = vec2(p.x * cosine - p.y * sine, p.x * sine + p.y * cosine);
-        cosine = turned.x;
-        sine = turned.y;
+        evaluate_functions(vec3(squeeze * d.xy, 2.0 * height - 1.0), sqrt(2.0));
+    } else {
+        evaluate_functions(d, 1.0);
     }
 }
 
-// Four coefficients a turn: R G B R | G B R G | B R G B.
-fn harmonics(first_quad: u32, code: u32, d: vec3<f32>) -> vec3<f32> {
-    let bands = code & 15u;
-    if code != known_code {
-        evaluate_functions(bands, code < 32u, d);
-        known_code = code;
-    }
-    let count = bands * bands;
-    var sum = vec3(0.0);
-    var at = first_quad;
-    for (var i = 0u; i < count; i += 4u) {
-        let a = quad(at);
-        let b = quad(at + 1u);
-        let c = quad(at + 2u);
-        sum += a.xyz * functions[i];
-        // Behind the last coefficient there are zeros, and whatever function is read must be finite.
-        let last = count - 1u;
-        sum += vec3(a.w, b.xy) * functions[min(i + 1u, last)];
-        sum += vec3(b.zw, c.x) * functions[min(i + 2u, last)];
-        sum += c.yzw * functions[min(i + 3u, last)];
-        at += 3u;
-    }
-    return max(sum, vec3(0.0));
+// Eight coefficients, four to three quads: R G B R | G B R G | B R G B.
+fn octet(at: u32, low: vec4<f32>, high: vec4<f32>) -> vec3<f32> {
+    let a = pair(at);
+    let b = pair(at + 1u);
+    let c = pair(at + 2u);
+    var sum = a.first.xyz * low.x + vec3(a.first.w, a.second.xy) * low.y + vec3(a.second.zw, b.first.x) * low.z + b.first.yzw * low.w;
+    sum += b.second.xyz * high.x + vec3(b.second.w, c.first.xy) * high.y + vec3(c.first.zw, c.second.x) * high.z;
+    return sum + c.second.yzw * high.w;
 }
 
 fn eval(model: Texel, d: vec3<f32>) -> vec3<f32> {
     let code = model.code & 0xffu;
-    if HARMONICS {
+    if HEMISPHERICAL || SPHERICAL {
         if code > 16u {
-            return harmonics(model.first_quad, code, d);
+            if HEMISPHERICAL && SPHERICAL {
+                evaluate_basis(code < 32u, d);
+            }
+            let bands = code & 15u;
+            return max(sum_of_harmonics(model.first_pair, bands * bands), vec3(0.0));
         }
     }
-    let first = quad(model.first_quad);
-    var sum = first.xyz;
+    var sum = model.constant.xyz;
     if code == 2u {
-        sum *= power(max(d.z, LEAST_COSINE), first.w);
+        sum *= power(max(d.z, LEAST_COSINE), model.constant.w);
     }
+    // One by one: a loop costs lavapipe more than what is in it.
     if LOBES > 0u {
         if code > 2u {
-            sum += lobe(model.first_quad + 1u, d);
+            sum += lobe(model.first_pair, d);
         }
     }
     if LOBES > 1u {
-        for (var j = 1u; j + 2u < code; j++) {
-            sum += lobe(model.first_quad + 1u + 2u * j, d);
+        if code > 3u {
+            sum += lobe(model.first_pair + 1u, d);
+        }
+    }
+    if LOBES > 2u {
+        if code > 4u {
+            sum += lobe(model.first_pair + 2u, d);
+        }
+    }
+    if LOBES > 3u {
+        if code > 5u {
+            sum += lobe(model.first_pair + 3u, d);
         }
     }
     return sum;
@@ -196,6 +183,10 @@ fn local_direction(normal: vec3<f32>, along: vec3<f32>, toward_viewer: vec3<f32>
 // Of the texels that have a model, by their weights among themselves.
 fn blend(point: ObjectPoint, direction: vec3<f32>) -> Shaded {
     let d = local_direction(point.normal, point.tangent, -direction);
+    // All texels of this pixel share the direction, and the functions if they share the basis.
+    if HEMISPHERICAL != SPHERICAL {
+        evaluate_basis(HEMISPHERICAL, d);
+    }
     let at = texel_position(point.uv);
     let low = floor(at);
     let f = at - low;

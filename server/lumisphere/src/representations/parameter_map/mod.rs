@@ -13,6 +13,8 @@
 
 mod budget;
 mod construct;
+#[cfg(feature = "gpu")]
+mod device_tables;
 mod kept_models;
 #[cfg(feature = "gpu")]
 mod kernel;
@@ -45,7 +47,7 @@ use crate::textures::{PageId, PageShape, PixelFormat};
 
 pub use construct::{ConstructSettings, FitError, FitSource, FollowFit, PartialMap, ReadObservations, construct};
 #[cfg(all(test, feature = "gpu"))]
-pub(crate) use kernel::SOURCE as KERNEL_SOURCE;
+pub(crate) use kernel::source as kernel_source;
 pub use models::{AllowedModels, Observed, Solver, UnknownModels, fitted_models};
 pub use packing::{ModelCode, Quads};
 pub use registration::{Registration, Shifted};

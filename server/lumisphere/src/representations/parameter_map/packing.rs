@@ -95,6 +95,12 @@ impl ModelCode {
         (self.0 > HEMISPHERICAL).then(|| u32::from(self.0 % HEMISPHERICAL))
     }
 
+    /// Of harmonics.
+    #[cfg(feature = "gpu")]
+    pub(super) fn basis(self) -> Option<Basis> {
+        self.bands().map(|_| if self.0 > SPHERICAL { Basis::Spherical } else { Basis::Hemispherical })
+    }
+
     /// The numbers of a model of this code.
     pub fn pack(model: &Model) -> (Self, Quads) {
         let code = Self::of(model);
