@@ -14,6 +14,7 @@ mod reflections;
 mod refraction;
 mod relight;
 mod replacing;
+mod rim_and_knob;
 mod stability;
 mod thinning;
 

@@ -63,9 +63,14 @@ pub fn listed_job(view: &JobView) -> Result<proto::Job, ApiError> {
     Ok(job)
 }
 
-fn progress(view: &JobView) -> proto::JobProgress {
+pub(super) fn progress(view: &JobView) -> proto::JobProgress {
     let stage = &view.stage;
-    let fraction = if stage.total == 0 { 0.0 } else { (stage.done as f64 / stage.total as f64).min(1.0) };
+    // A job's last stage may be one that it cannot count, or that ends before it is shown again.
+    let fraction = match (view.state, stage.total) {
+        (State::Succeeded, _) => 1.0,
+        (_, 0) => 0.0,
+        (_, total) => (stage.done as f64 / total as f64).min(1.0),
+    };
     let seconds_left = stage.seconds_left.filter(|_| !view.state.is_ended());
     let fit = stage.fit.as_deref().map(fit_progress);
     proto::JobProgress { stage: stage.name.clone(), done: stage.done, total: stage.total, fraction, seconds_left, fit }

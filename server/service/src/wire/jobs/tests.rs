@@ -248,3 +248,19 @@ fn what_is_remembered_pins_the_version() {
     assert_eq!((back.version, back.dataset.as_str()), (7, "tea"));
     assert!(recalled(&[0xff, 0xff]).is_err());
 }
+
+#[test]
+fn a_job_that_succeeded_is_whole_whatever_its_last_stage_told() {
+    let submission =
+        crate::jobs::Submission { kind: "capture", writes: None, request_id: String::new(), asked: String::new(), spec: vec![] };
+    let record = crate::jobs::Record::new(1, submission);
+    let stage = crate::jobs::Stage { name: "publishing".into(), done: 1, total: 4, ..Default::default() };
+    let mut view = crate::jobs::JobView { sequence: 1, at_millis: 0, record, stage };
+    use crate::jobs::State;
+    let mut fraction = |state, total| {
+        (view.record.state, view.stage.total) = (state, total);
+        answers::progress(&view).fraction
+    };
+    assert_eq!([fraction(State::Running, 4), fraction(State::Running, 0), fraction(State::Failed, 4)], [0.25, 0.0, 0.25]);
+    assert_eq!([fraction(State::Succeeded, 4), fraction(State::Succeeded, 0)], [1.0; 2]);
+}

@@ -13,7 +13,7 @@ use crate::images::Image;
 pub(crate) use crate::representations::MemoryPages;
 use crate::representations::Original;
 use crate::representations::offset_surface_light_field::{
-    NO_SAMPLE, OffsetSurfaceLightField, Parameters, Placing, SamplePoint, Spacing, build_sample_maps,
+    NO_SAMPLE, OffsetSurfaceLightField, Parameters, Placing, SampleMaps, SamplePoint, Spacing, build_sample_maps,
 };
 use crate::scenes::{Albedo, Environment, EnvironmentMap, Texture};
 use crate::textures::{DatasetVersion, Page, PageId, PageShape, PixelFormat, Publication, Store, StoreOptions};
@@ -131,74 +131,26 @@ impl World {
             .map(|n| SamplePoint { position: (1.0 + self.epsilon) * n, normal: n })
             .collect();
         let sample_maps = build_sample_maps(&unturned.sphere(), &unturned_points, 16, &|_, _| true);
-        let mut pages = Vec::new();
-        let levels = coarser_levels(self.face_size) as usize;
-        let mut coarser = vec![Vec::new(); levels];
-        for cube in 0..=self.points {
+        let seen = |cube: usize, d: Vec3| {
             let at = if cube < self.points { (1.0 + self.epsilon) * fibonacci(cube, self.points) } else { Vec3::ZERO };
-            let mut faces: Vec<Page> = (0..FACES).map(|face| self.page(at, cube == self.points, face)).collect();
-            pages.extend(faces.iter().cloned().map(Arc::new));
-            faces = faces.iter().map(|face| with_sky_shares(face).expect("four channels")).collect();
-            for level in &mut coarser {
-                faces = faces.iter().map(|face| halved(face, 4).expect("even sizes")).collect();
-                level.push(Arc::new(stacked(&faces).expect("six faces")));
-            }
-        }
-        pages.extend(coarser.into_iter().flatten());
-        let parameters = Parameters {
-            object: "sphere".into(),
-            epsilon: self.epsilon * self.scale,
-            face_size_texels: self.face_size,
-            coarser_levels: levels as u32,
-            sample_map_size_texels: 16,
-            spacing: Spacing::Count(self.points as u32),
-            placing: Placing::Uniform,
-            object_center: [0.0; 3],
-            samples_per_texel: 1,
-            max_bounces: 1,
-            seed: 0,
-            original: Original::Diffuse,
-            thinned_from: None,
-            replaced: None,
+            let d = self.rotation.inverse() * d;
+            let (radiance, distance) = if cube == self.points { self.surroundings(at, d) } else { self.seen(at, d) };
+            (radiance, distance * self.scale)
         };
-        let background = self.background();
-        (OffsetSurfaceLightField { parameters, surface, sample_points, sample_maps, background }, MemoryPages(pages))
-    }
-
-    fn page(&self, at: Vec3, without_sphere: bool, face: usize) -> Page {
-        let size = self.face_size as usize;
-        let mut values = Vec::with_capacity(4 * size * size);
-        for (row, column) in (0..size).flat_map(|r| (0..size).map(move |c| (r, c))) {
-            let d = self.rotation.inverse() * texel_direction(face, size, column as f32 + 0.5, row as f32 + 0.5);
-            let (radiance, distance) = if without_sphere { self.surroundings(at, d) } else { self.seen(at, d) };
-            values.extend([radiance.x, radiance.y, radiance.z, distance * self.scale]);
-        }
-        let shape = PageShape { width: self.face_size, height: self.face_size, channels: 4, pixel: self.pixel };
-        Page::from_f32(shape, &values).expect("shape and count agree")
+        let made_with = (self.epsilon * self.scale, self.face_size, self.pixel);
+        light_field((surface, self.background()), sample_points, sample_maps, made_with, seen)
     }
 
     // A part for each face of a cube, blown up to a sphere; (u, v) run with (s, t).
     fn sphere(&self) -> SurfaceMesh {
-        let (mut positions, mut normals, mut uvs, mut triangles, mut part_of_triangle) = (vec![], vec![], vec![], vec![], vec![]);
+        let mut grids = Grids::default();
         for face in 0..FACES {
-            let first = positions.len() as u32;
-            for (j, i) in (0..=self.quads).flat_map(|j| (0..=self.quads).map(move |i| (j, i))) {
-                let uv = Vec2::new(i as f32, j as f32) / self.quads as f32;
+            add_part(&mut grids, self.quads, |uv| {
                 let n = self.rotation * direction_from_face(face, 2.0 * uv.x - 1.0, 2.0 * uv.y - 1.0).normalize();
-                positions.push(self.scale * n);
-                normals.push(n);
-                uvs.push(uv);
-            }
-            for (j, i) in (0..self.quads).flat_map(|j| (0..self.quads).map(move |i| (j, i))) {
-                let row = self.quads + 1;
-                let a = first + j * row + i;
-                // s to the right and t down, seen from inside: counter-clockwise from outside.
-                triangles.extend([[a, a + 1, a + row + 1], [a, a + row + 1, a + row]]);
-                part_of_triangle.extend([face as u32; 2]);
-            }
+                (self.scale * n, n)
+            });
         }
-        let mesh = TriangleMesh::new(positions, normals, uvs, triangles).expect("a sphere is a mesh");
-        SurfaceMesh { mesh, part_of_triangle, parts: FACES as u32 }
+        grids.into()
     }
 
     // A square floor below the sphere with a checkered texture, and the environment as a small map.
@@ -247,8 +199,98 @@ pub fn starve(field: &mut OffsetSurfaceLightField, kept: usize) {
     }
 }
 
-// Point i of n spread evenly over the sphere.
-fn fibonacci(i: usize, n: usize) -> Vec3 {
+/// The light field of these points, made with ε, face size and format; `seen(cube, d)`: radiance and distance from a point toward the unit
+/// vector `d`, the last cube without the object.
+pub fn light_field(
+    (surface, background): (SurfaceMesh, Background),
+    sample_points: Vec<SamplePoint>,
+    sample_maps: SampleMaps,
+    (epsilon, face_size, pixel): (f32, u32, PixelFormat),
+    seen: impl Fn(usize, Vec3) -> (Vec3, f32),
+) -> (OffsetSurfaceLightField, MemoryPages) {
+    let size = face_size as usize;
+    let page = |cube: usize, face: usize| {
+        let mut values = Vec::with_capacity(4 * size * size);
+        for (row, column) in (0..size).flat_map(|r| (0..size).map(move |c| (r, c))) {
+            let (radiance, distance) = seen(cube, texel_direction(face, size, column as f32 + 0.5, row as f32 + 0.5));
+            values.extend([radiance.x, radiance.y, radiance.z, distance]);
+        }
+        let shape = PageShape { width: face_size, height: face_size, channels: 4, pixel };
+        Page::from_f32(shape, &values).expect("shape and count agree")
+    };
+    let mut pages = Vec::new();
+    let levels = coarser_levels(face_size) as usize;
+    let mut coarser = vec![Vec::new(); levels];
+    for cube in 0..=sample_points.len() {
+        let mut faces: Vec<Page> = (0..FACES).map(|face| page(cube, face)).collect();
+        pages.extend(faces.iter().cloned().map(Arc::new));
+        faces = faces.iter().map(|face| with_sky_shares(face).expect("four channels")).collect();
+        for level in &mut coarser {
+            faces = faces.iter().map(|face| halved(face, 4).expect("even sizes")).collect();
+            level.push(Arc::new(stacked(&faces).expect("six faces")));
+        }
+    }
+    pages.extend(coarser.into_iter().flatten());
+    let parameters = Parameters {
+        object: "sphere".into(),
+        epsilon,
+        face_size_texels: face_size,
+        coarser_levels: levels as u32,
+        sample_map_size_texels: sample_maps.size as u32,
+        spacing: Spacing::Count(sample_points.len() as u32),
+        placing: Placing::Uniform,
+        object_center: [0.0; 3],
+        samples_per_texel: 1,
+        max_bounces: 1,
+        seed: 0,
+        original: Original::Diffuse,
+        thinned_from: None,
+        replaced: None,
+    };
+    (OffsetSurfaceLightField { parameters, surface, sample_points, sample_maps, background }, MemoryPages(pages))
+}
+
+/// A part of squares on a grid over (u, v), `edge` along an edge, whose point and normal are `at(uv)`; added behind what `mesh` has. u to the
+/// right and v down, seen from inside: counter-clockwise from outside.
+pub fn add_part(mesh: &mut Grids, edge: u32, at: impl Fn(Vec2) -> (Vec3, Vec3)) {
+    let first = mesh.positions.len() as u32;
+    for (j, i) in (0..=edge).flat_map(|j| (0..=edge).map(move |i| (j, i))) {
+        let uv = Vec2::new(i as f32, j as f32) / edge as f32;
+        let (position, normal) = at(uv);
+        mesh.positions.push(position);
+        mesh.normals.push(normal);
+        mesh.uvs.push(uv);
+    }
+    for (j, i) in (0..edge).flat_map(|j| (0..edge).map(move |i| (j, i))) {
+        let row = edge + 1;
+        let a = first + j * row + i;
+        mesh.triangles.extend([[a, a + 1, a + row + 1], [a, a + row + 1, a + row]]);
+        mesh.part_of_triangle.extend([mesh.parts; 2]);
+    }
+    mesh.parts += 1;
+}
+
+/// Parts that [`add_part`] made.
+#[derive(Default)]
+pub struct Grids {
+    positions: Vec<Vec3>,
+    normals: Vec<Vec3>,
+    uvs: Vec<Vec2>,
+    triangles: Vec<[u32; 3]>,
+    part_of_triangle: Vec<u32>,
+    parts: u32,
+}
+
+impl From<Grids> for SurfaceMesh {
+    fn from(grids: Grids) -> Self {
+        let Grids { positions, normals, uvs, triangles, part_of_triangle, parts } = grids;
+        let mesh = TriangleMesh::new(positions, normals, uvs, triangles).expect("grids are a mesh");
+        Self { mesh, part_of_triangle, parts }
+    }
+}
+
+/// Point i of n spread evenly over the sphere.
+pub fn fibonacci(i: usize, n: usize) -> Vec3 {
     let y = 1.0 - (2.0 * i as f32 + 1.0) / n as f32;
     let (sin, cos) = (2.399_963_2 * i as f32).sin_cos();
     let r = (1.0 - y * y).sqrt();
